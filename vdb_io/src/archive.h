@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+/// @file archive.h
+/// OpenVDB's file format grid by grid, so that a file of many channels never needs them all in
+/// memory, with the footer that proves a file whole. OpenVDB's own reader does not check its
+/// stream.
+
+#include "atomic_file.h"
+
+#include <lumivdb/vdb_io/volume_file.h>
+
+#include <openvdb/io/Archive.h>
+#include <openvdb/io/GridDescriptor.h>
+#include <openvdb/io/io.h>
+#include <openvdb/openvdb.h>
+
+#include <functional>
+#include <memory>
+#include <ostream>
+#include <string>
+
+namespace lumivdb {
+
+/// Writes one .vdb file, grid by grid, and ends it with the footer.
+class VdbWriter : private openvdb::io::Archive {
+public:
+    VdbWriter(const std::string& path, Codec codec, int gridCount, Progress* progress);
+    ~VdbWriter() override;
+    void add(const openvdb::GridBase& grid);
+    /// Footer, fsync, rename.
+    void finish();
+
+private:
+    void stampIdentity();
+    void appendFooter();
+
+    AtomicFile mFile;
+    AtomicFileBuffer mBuffer;
+    std::ostream mStream;
+    openvdb::io::StreamMetadata::Ptr mMetadata; ///< the stream points to this pointer
+    std::uint64_t mMarkerPosition = 0; ///< of the marker's value
+};
+
+/// Whether readVdb() hands a grid over or skips its data.
+enum class GridUse { Read, Skip };
+
+/// Checks the footer where the file says that it has one, then reads grid after grid.
+/// @a wants is asked by name, @a take gets the grid and whether it is stored as half.
+/// @throws Error(Input) naming @a path for whatever is wrong with it; exceptions of type Error from
+/// the callbacks pass unchanged.
+void readVdb(const std::string& path, const std::function<GridUse(const std::string&)>& wants,
+    const std::function<void(openvdb::GridBase::Ptr)>& take);
+
+} // namespace lumivdb

@@ -1,0 +1,255 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "load.h"
+
+#include "archive.h"
+
+#include <lumivdb/core/error.h>
+#include <lumivdb/vdb_io/volume_file.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <limits>
+
+namespace lumivdb {
+
+using openvdb::Int32Tree;
+
+namespace {
+
+constexpr std::uint64_t kMaxCells = std::uint64_t{1} << 31;
+
+/// Adds the cells whose origin lies in @a box, all of it at level @a level.
+/// @return their number; adds nothing and returns it when @a limit would be passed.
+std::uint64_t addCells(
+    VolumeBuilder& builder, const openvdb::CoordBBox& box, int level, std::uint64_t limit)
+{
+    const int size = 1 << level;
+    openvdb::Coord first;
+    std::uint64_t count = 1;
+    for (int a = 0; a < 3; ++a) {
+        const std::int64_t aligned = (std::int64_t{box.min()[a]} + size - 1) & -std::int64_t{size};
+        if (aligned > box.max()[a]) return 0;
+        first[a] = static_cast<int>(aligned);
+        count *= static_cast<std::uint64_t>((box.max()[a] - aligned) / size + 1);
+    }
+    if (count > limit) return count;
+    // 64-bit counters: the last step may pass the largest lattice point.
+    for (std::int64_t x = first.x(); x <= box.max().x(); x += size)
+        for (std::int64_t y = first.y(); y <= box.max().y(); y += size)
+            for (std::int64_t z = first.z(); z <= box.max().z(); z += size)
+                builder.addCell(
+                    Coord(static_cast<int>(x), static_cast<int>(y), static_cast<int>(z)), level);
+    return count;
+}
+
+std::string withoutStop(std::string text)
+{
+    while (!text.empty() && text.back() == '.') text.pop_back();
+    return text;
+}
+
+} // namespace
+
+VolumeLoader::VolumeLoader(const std::string& path, Progress* progress)
+    : mPath(path)
+    , mProgress(progress)
+{
+}
+
+bool VolumeLoader::isChannel(const std::string& name)
+{
+    return name == kLevelGrid || name == kValidityGrid || name == kDistanceGrid
+        || name.rfind("sh_", 0) == 0;
+}
+
+void VolumeLoader::fail(const std::string& sentence) const
+{
+    throw Error(ErrorCode::Input, sentence);
+}
+
+std::string VolumeLoader::where(const std::string& name) const
+{
+    return "Grid '" + name + "' of '" + mPath + "'";
+}
+
+void VolumeLoader::add(const openvdb::GridBase::Ptr& grid)
+{
+    const std::string name = grid->getName();
+    if (mProgress && mProgress->cancelled())
+        throw Error(ErrorCode::Interrupted, "Interrupted while reading '" + mPath + "'.");
+    const FileMetadata metadata = parseMetadata(*grid, where(name));
+    if (!mSeen.insert(name).second)
+        fail(where(name) + " is there twice; keep one grid of each name.");
+    if (name == kLevelGrid) {
+        mFile = metadata;
+        makeVolume(*grid);
+        takePending();
+    } else if (mVolume) {
+        take(*grid);
+    } else {
+        mPending.push_back(grid);
+    }
+}
+
+void VolumeLoader::makeVolume(const openvdb::GridBase& grid)
+{
+    const auto* level = dynamic_cast<const openvdb::Int32Grid*>(&grid);
+    if (!level) fail(where(kLevelGrid) + " has type " + grid.valueType() + " instead of int32.");
+    if (!grid.transform().isLinear())
+        fail(where(kLevelGrid) + " has a perspective transform; a linear one is needed.");
+    mMetadata = grid;
+    mIndexToWorld = matrixOf(grid.transform());
+    try {
+        VolumeBuilder builder(mFile.bands,
+            mFile.gradients ? GradientStorage::PerCoefficient : GradientStorage::None,
+            mIndexToWorld);
+        std::uint64_t cells = 0;
+        for (auto it = level->tree().cbeginValueOn(); it; ++it) {
+            const int k = *it;
+            if (k < -1 || k > kMaxLevel) {
+                fail(where(kLevelGrid) + " holds the level " + std::to_string(k)
+                    + " at lattice point " + pointText(fromVdb(it.getCoord()))
+                    + "; −1 to 12 are possible.");
+            }
+            if (k >= 0) cells += addCells(builder, it.getBoundingBox(), k, kMaxCells - cells);
+            if (cells > kMaxCells) fail(where(kLevelGrid) + " has more than 2^31 cells.");
+        }
+        mVolume.emplace(builder.build());
+    } catch (const Error& e) {
+        if (e.code() == ErrorCode::Input) throw;
+        fail(where(kLevelGrid) + " does not form a valid volume: " + withoutStop(e.what()) + ".");
+    }
+    mVolume->metadata() = mFile.volume;
+    mSource = makeSourceTree(*mVolume);
+    checkLevels(level->tree());
+    mSlots = std::make_unique<SampleSlots>(*mVolume, *mSource);
+    mChannels = colorChannels(mFile.bands, mFile.gradients);
+    if (mProgress) mProgress->begin("read volume", mChannels.size() + 3);
+    if (mProgress) mProgress->advance(1);
+}
+
+void VolumeLoader::checkLevels(const Int32Tree& level) const
+{
+    const auto refuse = [this](const openvdb::Coord& p) {
+        fail(where(kLevelGrid) + " does not form a valid volume: the voxel " + pointText(fromVdb(p))
+            + " does not fit the cells around it.");
+    };
+    if (!sameVoxels(level, *mSource))
+        fail(where(kLevelGrid)
+            + " does not form a valid volume: its active voxels are not its cells and their"
+              " samples.");
+    // Nodes of the two trees nest, so comparing at the lower corner of every value of both finds
+    // every difference.
+    const Int32Tree::Ptr expected = makeLevelTree(*mVolume, *mSource);
+    const Int32Tree* const trees[2] = {&level, expected.get()};
+    for (int side = 0; side < 2; ++side) {
+        openvdb::tree::ValueAccessor<const Int32Tree> other(*trees[1 - side]);
+        for (auto it = trees[side]->cbeginValueOn(); it; ++it)
+            if (other.getValue(it.getCoord()) != *it) refuse(it.getCoord());
+    }
+}
+
+void VolumeLoader::takePending()
+{
+    for (const openvdb::GridBase::Ptr& grid : mPending) take(*grid);
+    mPending.clear();
+}
+
+void VolumeLoader::take(const openvdb::GridBase& grid)
+{
+    const std::string name = grid.getName();
+    const auto channel = std::find_if(mChannels.begin(), mChannels.end(),
+        [&name](const ColorChannel& c) { return c.name == name; });
+    if (channel != mChannels.end()) {
+        takeColors(grid, *channel);
+    } else if (name == kValidityGrid || name == kDistanceGrid) {
+        takeScalars(grid);
+    }
+    if (mProgress) mProgress->advance(1);
+}
+
+void VolumeLoader::checkChannel(const openvdb::GridBase& grid) const
+{
+    const std::string name = grid.getName();
+    const std::string different = metadataDifference(grid, mMetadata);
+    if (!different.empty()) {
+        fail(where(name) + " and grid 'level' differ in '" + different
+            + "': they come from different volumes.");
+    }
+    if (!grid.transform().isLinear() || matrixOf(grid.transform()) != mIndexToWorld)
+        fail(where(name) + " and grid 'level' have different transforms; keep them the same.");
+}
+
+void VolumeLoader::takeColors(const openvdb::GridBase& grid, const ColorChannel& channel)
+{
+    checkChannel(grid);
+    const auto* colors = dynamic_cast<const openvdb::Vec3SGrid*>(&grid);
+    if (!colors) fail(where(channel.name) + " has type " + grid.valueType() + " instead of vec3s.");
+    if (!sameVoxels(colors->tree(), *mSource))
+        fail(where(channel.name) + " and grid 'level' have different active voxels.");
+    std::atomic<std::uint64_t> bad{std::numeric_limits<std::uint64_t>::max()};
+    IrradianceVolume& volume = *mVolume;
+    mSlots->forSamples(colors->tree(), [&](SampleId s, const openvdb::Vec3s& v) {
+        if (!std::isfinite(v.x()) || !std::isfinite(v.y()) || !std::isfinite(v.z())) {
+            std::uint64_t seen = bad;
+            while (s < seen && !bad.compare_exchange_weak(seen, s)) { }
+        }
+        Color* record = channel.gradient ? volume.gradient(s) : volume.radiance(s);
+        record[channel.offset] = Color(v.x(), v.y(), v.z());
+    });
+    if (bad < volume.sampleCount()) {
+        const auto s = static_cast<SampleId>(bad);
+        fail(where(channel.name) + " is NaN or infinite at lattice point "
+            + pointText(volume.samplePosition(s)) + "; bake it again.");
+    }
+}
+
+void VolumeLoader::takeScalars(const openvdb::GridBase& grid)
+{
+    checkChannel(grid);
+    const std::string name = grid.getName();
+    const auto* scalars = dynamic_cast<const openvdb::FloatGrid*>(&grid);
+    if (!scalars) fail(where(name) + " has type " + grid.valueType() + " instead of float.");
+    if (!sameVoxels(scalars->tree(), *mSource))
+        fail(where(name) + " and grid 'level' have different active voxels.");
+    std::atomic<bool> bad{false};
+    IrradianceVolume& volume = *mVolume;
+    const bool isValidity = name == kValidityGrid;
+    mSlots->forSamples(scalars->tree(), [&](SampleId s, float v) {
+        if (isValidity ? !std::isfinite(v) : !(v >= 0)) bad = true;
+        (isValidity ? volume.validity(s) : volume.distance(s)) = v;
+    });
+    if (bad) fail(where(name) + " holds NaN or an impossible value; bake it again.");
+}
+
+IrradianceVolume VolumeLoader::finish()
+{
+    if (mSeen.empty()) {
+        fail("'" + mPath
+            + "' has no LumiVDB metadata: it is not an irradiance volume that lumivdb wrote.");
+    }
+    const auto require = [this](const std::string& name) {
+        if (mSeen.count(name) == 0) fail(where(name) + " is missing; bake it again.");
+    };
+    require(kLevelGrid);
+    require(kValidityGrid);
+    require(kDistanceGrid);
+    for (const ColorChannel& channel : mChannels) require(channel.name);
+    mSlots.reset();
+    return std::move(*mVolume);
+}
+
+IrradianceVolume loadVolume(const std::string& path, Progress* progress)
+{
+    VolumeLoader loader(path, progress);
+    readVdb(
+        path,
+        [](const std::string& name) {
+            return VolumeLoader::isChannel(name) ? GridUse::Read : GridUse::Skip;
+        },
+        [&loader](const openvdb::GridBase::Ptr& grid) { loader.add(grid); });
+    return loader.finish();
+}
+
+} // namespace lumivdb
