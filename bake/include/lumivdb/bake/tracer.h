@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+/// @file tracer.h
+/// A scene ready for rays: Embree's acceleration structure, materials and light tables.
+/// rtcore.h is included by tracer.cpp and its neighbours in bake/src only.
+
+#include <lumivdb/bake/scene.h>
+#include <lumivdb/core/progress.h>
+
+#include <memory>
+
+namespace lumivdb {
+
+/// Where a ray met a surface.
+struct SurfaceHit {
+    bool hit = false;
+    bool backFace = false; ///< met from behind the triangle's counter-clockwise side
+    double distance = 0; ///< world units
+    Vec3d position; ///< world
+    Vec3f normal; ///< unit geometric normal of the front side
+    Color albedo; ///< linear reflectance; 0 on the back of a single-sided surface
+    Color emission; ///< radiance towards the ray's origin; 0 on the back of a single-sided one
+    int mesh = -1;
+    int triangle = -1;
+};
+
+/// Immutable after construction and safe to trace from many threads.
+class Tracer {
+public:
+    /// Builds the structure (high quality, robust). Refers to nothing of @a scene afterwards but
+    /// shares its environment. @throws Error(Input) where Embree runs out of memory.
+    explicit Tracer(std::shared_ptr<const Scene> scene, Progress* progress = nullptr);
+    ~Tracer();
+
+    const Scene& scene() const;
+    double buildSeconds() const;
+
+    /// First surface along unit @a direction from world point @a origin; alpha-masked texels let
+    /// rays pass.
+    SurfaceHit intersect(const Vec3d& origin, const Vec3d& direction) const;
+    /// Whether anything lies strictly between the two points.
+    bool occluded(const Vec3d& from, const Vec3d& to) const;
+    /// Closest surface within @a radius: its distance and unit normal. False where there is none.
+    bool closestSurface(const Vec3d& p, double radius, double* distance, Vec3d* normal) const;
+
+    struct Impl;
+    const Impl& impl() const { return *mImpl; }
+
+private:
+    std::unique_ptr<Impl> mImpl;
+};
+
+} // namespace lumivdb

@@ -1,0 +1,106 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "emitters.h"
+
+#include <algorithm>
+
+namespace lumivdb {
+
+int EmitterTable::add(const Triangle& triangle)
+{
+    mTriangles.push_back(triangle);
+    return static_cast<int>(mTriangles.size()) - 1;
+}
+
+void EmitterTable::finish(std::shared_ptr<const Environment> environment, double radius)
+{
+    constexpr double kPi = 3.14159265358979323846;
+    mEnvironment = std::move(environment);
+    // A sphere of the scene's radius catches π r² ∫ L dω; a triangle gives π A L to each side.
+    const double environmentPower
+        = mEnvironment ? mEnvironment->power() * kPi * radius * radius : 0.0;
+    double total = environmentPower;
+    for (const Triangle& t : mTriangles) total += t.power;
+    mCdf.clear();
+    if (!(total > 0)) return;
+    double sum = 0;
+    for (Triangle& t : mTriangles) {
+        t.probability = t.power / total;
+        sum += t.probability;
+        mCdf.push_back(sum);
+    }
+    mEnvironmentProbability = environmentPower / total;
+    mCdf.push_back(environmentPower > 0 ? 1.0 : sum);
+    // Rounding must not leave a gap at the end that nothing owns.
+    if (environmentPower == 0) mCdf[mCdf.size() - 2] = mCdf.back() = 1.0;
+}
+
+std::size_t EmitterTable::choose(double& t) const
+{
+    const auto it = std::upper_bound(mCdf.begin(), mCdf.end() - 1, t);
+    const auto index = static_cast<std::size_t>(it - mCdf.begin());
+    const double low = index == 0 ? 0.0 : mCdf[index - 1];
+    const double width = mCdf[index] - low;
+    t = width > 0 ? std::clamp((t - low) / width, 0.0, 0x1.fffffffffffffp-1) : 0.0;
+    return index;
+}
+
+EmitterSample EmitterTable::sampleEnvironment(double u, double v) const
+{
+    EmitterSample s;
+    if (!mEnvironment) return s;
+    const Environment::Sample e = mEnvironment->sample(u, v);
+    s.direction = Vec3f(e.direction);
+    s.infinite = true;
+    s.radiance = e.radiance;
+    s.pdf = e.pdf * mEnvironmentProbability;
+    return s;
+}
+
+double EmitterTable::pdfTriangle(int emitter, double distance, double cosine) const
+{
+    const Triangle& e = mTriangles[static_cast<std::size_t>(emitter)];
+    return cosine > 0 ? e.probability / e.area * distance * distance / cosine : 0.0;
+}
+
+double EmitterTable::pdfEnvironment(const Vec3f& direction) const
+{
+    return mEnvironmentProbability > 0
+        ? mEnvironmentProbability * mEnvironment->pdf(Vec3d(direction))
+        : 0.0;
+}
+
+PunctualSample samplePunctual(const Light& light, const Vec3f& localPosition, const Vec3f& to)
+{
+    PunctualSample s;
+    if (light.type == LightType::Directional) {
+        s.direction = Vec3f(-light.direction);
+        s.infinite = true;
+        s.irradiance = light.intensity;
+        return s;
+    }
+    const Vec3d d = Vec3d(localPosition) - Vec3d(to);
+    const double distance2 = d.length2();
+    if (!(distance2 > 0)) return s; // exactly on the light there is no direction
+    const double distance = std::sqrt(distance2);
+    double factor = 1 / distance2;
+    if (light.range > 0) {
+        // glTF's recommended window; 0 from `range` on.
+        const double r = distance / light.range;
+        factor *= std::clamp(1 - r * r * r * r, 0.0, 1.0);
+    }
+    if (light.type == LightType::Spot) {
+        // KHR_lights_punctual, "Inner and Outer Cone Angles".
+        const double cosOuter = std::cos(light.outerConeAngle);
+        const double scale = 1 / std::max(0.001, std::cos(light.innerConeAngle) - cosOuter);
+        const double cd = -light.direction.dot(d) / distance;
+        const double a = std::clamp((cd - cosOuter) * scale, 0.0, 1.0);
+        factor *= a * a;
+    }
+    if (!(factor > 0)) return s;
+    s.direction = Vec3f(d / distance);
+    s.target = localPosition;
+    s.irradiance = light.intensity * static_cast<float>(factor);
+    return s;
+}
+
+} // namespace lumivdb

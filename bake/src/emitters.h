@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+/// @file emitters.h
+/// Everything that gives light, as tables to choose from. Local space (see tracer_impl.h).
+
+#include <lumivdb/bake/environment.h>
+#include <lumivdb/bake/scene.h>
+
+#include <memory>
+#include <vector>
+
+namespace lumivdb {
+
+/// A direction in which light may arrive, drawn by EmitterTable::sample().
+struct EmitterSample {
+    Vec3f direction; ///< unit, away from the reference point
+    Vec3f target; ///< end of the shadow ray; used when not infinite
+    bool infinite = false;
+    Color radiance{0, 0, 0};
+    double pdf = 0; ///< per steradian, choice of the emitter included; 0: nothing
+};
+
+/// Emissive triangles and the environment, chosen by their power.
+class EmitterTable {
+public:
+    struct Triangle {
+        std::uint32_t triangle; ///< into Tracer::Impl::triangles
+        Vec3f a, ab, ac; ///< vertex and edges
+        Vec3f normal; ///< unit, front
+        float area;
+        float offset; ///< see SurfacePoint::offset
+        bool doubleSided;
+        double power; ///< weight of the choice
+        double probability = 0;
+    };
+
+    int add(const Triangle& triangle);
+    /// @a radius of the scene: weighs the environment against the triangles.
+    void finish(std::shared_ptr<const Environment> environment, double radius);
+
+    bool empty() const { return mCdf.empty(); }
+    std::size_t triangleCount() const { return mTriangles.size(); }
+
+    /// Draws from t ∈ [0,1): first the emitter, then, with what t has left, a point on it along a
+    /// Hilbert curve. Stratified t give stratified emitters and stratified points of each.
+    /// @a emission(triangle index, u, v) gives the radiance of a triangle's front.
+    template <class Emission>
+    EmitterSample sampleStratum(const Vec3f& from, double t, const Emission& emission) const;
+
+    /// Draws the emitter from t and the point on it from u, v: for independent random numbers.
+    template <class Emission>
+    EmitterSample sample(
+        const Vec3f& from, double t, double u, double v, const Emission& emission) const;
+
+    /// Density of sample() for a triangle met at @a distance under |cos| = @a cosine.
+    double pdfTriangle(int emitter, double distance, double cosine) const;
+    double pdfEnvironment(const Vec3f& direction) const;
+
+private:
+    std::size_t choose(double& t) const;
+    template <class Emission>
+    EmitterSample samplePoint(
+        std::size_t chosen, const Vec3f& from, double s, double t, const Emission& emission) const;
+    EmitterSample sampleEnvironment(double u, double v) const;
+
+    std::vector<Triangle> mTriangles;
+    std::shared_ptr<const Environment> mEnvironment;
+    double mEnvironmentProbability = 0;
+    std::vector<double> mCdf; // triangles in order, then the environment; ends at 1
+};
+
+/// Light of a punctual light at @a to, unshadowed. Irradiance on a surface that faces it.
+struct PunctualSample {
+    Vec3f direction{0, 0, 0}; ///< unit, towards the light; 0: no light arrives
+    Vec3f target{0, 0, 0};
+    bool infinite = false;
+    Color irradiance{0, 0, 0};
+};
+PunctualSample samplePunctual(const Light& light, const Vec3f& localPosition, const Vec3f& to);
+
+} // namespace lumivdb
+
+#include "emitters_sample.h"

@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "directions.h"
+
+#include <cmath>
+
+namespace lumivdb {
+
+template <class Emission>
+EmitterSample EmitterTable::sampleStratum(
+    const Vec3f& from, double t, const Emission& emission) const
+{
+    const std::size_t chosen = choose(t);
+    const Vec2d square = hilbertPoint(t);
+    return samplePoint(chosen, from, square.x, square.y, emission);
+}
+
+template <class Emission>
+EmitterSample EmitterTable::sample(
+    const Vec3f& from, double t, double u, double v, const Emission& emission) const
+{
+    return samplePoint(choose(t), from, u, v, emission);
+}
+
+template <class Emission>
+EmitterSample EmitterTable::samplePoint(std::size_t chosen, const Vec3f& from, double squareU,
+    double squareV, const Emission& emission) const
+{
+    if (chosen == mTriangles.size()) return sampleEnvironment(squareU, squareV);
+
+    // Uniform over the triangle, with little distortion (Heitz, "A Low-Distortion Map Between
+    // Triangle and Square", 2019).
+    auto u = static_cast<float>(squareU), v = static_cast<float>(squareV);
+    if (v > u) {
+        u *= 0.5f;
+        v -= u;
+    } else {
+        v *= 0.5f;
+        u -= v;
+    }
+    const Triangle& e = mTriangles[chosen];
+    EmitterSample s;
+    Vec3f point = e.a + e.ab * u + e.ac * v;
+    const float facing = e.normal.dot(from - point);
+    if (facing == 0 || (facing < 0 && !e.doubleSided)) return s;
+    point += e.normal * (facing > 0 ? e.offset : -e.offset);
+    const Vec3d d = Vec3d(point) - Vec3d(from);
+    const double distance2 = d.length2();
+    if (!(distance2 > 0)) return s;
+    const double distance = std::sqrt(distance2);
+    s.direction = Vec3f(d / distance);
+    s.target = point;
+    const double cosine = std::abs(static_cast<double>(e.normal.dot(s.direction)));
+    if (!(cosine > 0)) return s;
+    s.pdf = e.probability / e.area * distance2 / cosine;
+    s.radiance = emission(e.triangle, u, v);
+    return s;
+}
+
+} // namespace lumivdb

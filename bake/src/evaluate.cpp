@@ -1,0 +1,262 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <lumivdb/bake/bake.h>
+
+#include <lumivdb/core/error.h>
+#include <lumivdb/core/random.h>
+
+#include "threads.h"
+
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cmath>
+#include <cstring>
+#include <limits>
+
+namespace lumivdb {
+
+namespace {
+
+/// Random points are drawn in rounds until enough are in free space, but not for ever.
+constexpr int kMaxRounds = 64;
+constexpr std::size_t kWorstPlaces = 10;
+constexpr std::size_t kTimedQueries = 20000;
+
+/// One point that counts: the volume's answer and the reference, per normal.
+struct Comparison {
+    Vec3d position;
+    std::vector<Color> volume, reference, error;
+};
+
+enum class Fate { Compared, InsideGeometry, OutsideVolume };
+
+class Evaluator {
+public:
+    Evaluator(const IrradianceVolume& volume, const Tracer& tracer, const EvaluateOptions& options)
+        : mVolume(volume)
+        , mOptions(options)
+        , mSampler(volume, options.mode)
+        , mNormals(uniformNormals(options.normals))
+        , mEstimator(tracer, probeOptions(options))
+    {
+    }
+
+    EvaluateReport run(Progress& progress)
+    {
+        EvaluateReport report;
+        report.normals = mOptions.normals;
+        const std::size_t wanted
+            = mOptions.givenPoints.empty() ? mOptions.points : mOptions.givenPoints.size();
+        progress.begin("trace the reference", wanted);
+        if (!mOptions.givenPoints.empty()) {
+            compareRound(mOptions.givenPoints, wanted, report, progress);
+        } else {
+            for (int round = 0; round < kMaxRounds && mComparisons.size() < wanted; ++round) {
+                compareRound(randomPoints(wanted, round), wanted, report, progress);
+            }
+        }
+        report.points = mComparisons.size();
+        if (mComparisons.empty()) {
+            throw Error(ErrorCode::Input,
+                "No point of the volume lies in free space inside it, so there is nothing to "
+                "compare; "
+                "check that the scene is the one the volume was baked from.");
+        }
+        summarise(report);
+        report.queryNs = timeQueries();
+        return report;
+    }
+
+private:
+    static ProbeOptions probeOptions(const EvaluateOptions& o)
+    {
+        ProbeOptions p;
+        p.rays = o.rays;
+        p.seed = o.seed;
+        p.maxBounces = o.maxBounces;
+        p.contribution = o.contribution;
+        return p;
+    }
+
+    std::vector<Vec3d> randomPoints(std::size_t count, int round) const
+    {
+        const Box3d box = mVolume.worldBounds();
+        std::vector<Vec3d> points(count);
+        for (std::size_t i = 0; i < count; ++i) {
+            CounterRng rng(hashCombine(
+                hashCombine(mixBits(mOptions.seed), i), static_cast<std::uint64_t>(round)));
+            for (int a = 0; a < 3; ++a) {
+                points[i][a] = box.min[a] + rng.nextDouble() * (box.max[a] - box.min[a]);
+            }
+        }
+        return points;
+    }
+
+    void compareRound(const std::vector<Vec3d>& points, std::size_t wanted, EvaluateReport& report,
+        Progress& progress)
+    {
+        std::vector<Comparison> round(points.size());
+        std::vector<Fate> fates(points.size());
+        std::atomic<bool> stop{false};
+        tbb::parallel_for(std::size_t{0}, points.size(), [&](std::size_t i) {
+            if (stop || progress.cancelled()) {
+                stop = true;
+                return;
+            }
+            fates[i] = compare(points[i], mWorkspaces.local(), round[i]);
+            if (fates[i] == Fate::Compared) progress.advance(1);
+        });
+        if (stop) throw Error(ErrorCode::Interrupted, "The evaluation was interrupted.");
+        for (std::size_t i = 0; i < points.size() && mComparisons.size() < wanted; ++i) {
+            if (fates[i] == Fate::InsideGeometry) ++report.rejected;
+            if (fates[i] == Fate::OutsideVolume && !mOptions.givenPoints.empty()) ++report.outside;
+            if (fates[i] == Fate::Compared) mComparisons.push_back(std::move(round[i]));
+        }
+    }
+
+    Fate compare(const Vec3d& p, ProbeEstimator::Workspace& workspace, Comparison& c) const
+    {
+        QueryInfo info;
+        mSampler.irradiance(p, mNormals[0], &info);
+        if (info.level < 0) return Fate::OutsideVolume;
+        // The key depends on the place alone: the same point has the same reference in any list.
+        std::uint64_t key = mixBits(mOptions.seed);
+        for (int a = 0; a < 3; ++a) {
+            std::uint64_t bits;
+            static_assert(sizeof bits == sizeof p[a]);
+            std::memcpy(&bits, &p[a], sizeof bits);
+            key = hashCombine(key, bits);
+        }
+        ProbeResult r = mEstimator.irradiance(p, mNormals, key, workspace);
+        if (r.validity < kValidThreshold) return Fate::InsideGeometry;
+        c.position = p;
+        c.reference = std::move(r.value);
+        c.error = std::move(r.stderr_);
+        for (const Vec3f& n : mNormals) c.volume.push_back(mSampler.irradiance(p, n));
+        return Fate::Compared;
+    }
+
+    void summarise(EvaluateReport& report)
+    {
+        const double n = static_cast<double>(mComparisons.size()) * mOptions.normals;
+        Vec3d means(0.0);
+        for (int c = 0; c < 3; ++c) {
+            double mean = 0, bias = 0, square = 0, noise = 0;
+            std::vector<double> absolute;
+            absolute.reserve(static_cast<std::size_t>(n));
+            for (const Comparison& point : mComparisons) {
+                for (std::size_t k = 0; k < point.reference.size(); ++k) {
+                    const double reference = point.reference[k][c];
+                    const double difference = point.volume[k][c] - reference;
+                    mean += reference;
+                    bias += difference;
+                    square += difference * difference;
+                    noise += static_cast<double>(point.error[k][c]) * point.error[k][c];
+                    absolute.push_back(std::abs(difference));
+                }
+            }
+            means[c] = mean / n;
+            const auto relative = [&](double v) {
+                return means[c] > 0 ? v / means[c] : v == 0 ? 0 : kInf;
+            };
+            std::sort(absolute.begin(), absolute.end());
+            const auto percentile = [&](double q) {
+                const auto i
+                    = static_cast<std::size_t>(q * static_cast<double>(absolute.size() - 1));
+                return relative(absolute[i]);
+            };
+            report.relRmse = std::max(report.relRmse, relative(std::sqrt(square / n)));
+            report.referenceStderr
+                = std::max(report.referenceStderr, relative(std::sqrt(noise / n)));
+            report.p50 = std::max(report.p50, percentile(0.50));
+            report.p95 = std::max(report.p95, percentile(0.95));
+            report.p99 = std::max(report.p99, percentile(0.99));
+            report.max = std::max(report.max, percentile(1.0));
+            const double signedBias = bias < 0 ? -relative(-bias / n) : relative(bias / n);
+            if (std::abs(signedBias) > std::abs(report.bias)) report.bias = signedBias;
+        }
+        listWorst(means, report);
+    }
+
+    void listWorst(const Vec3d& means, EvaluateReport& report) const
+    {
+        const double mean = (means.x + means.y + means.z) / 3;
+        for (const Comparison& point : mComparisons) {
+            double square = 0;
+            for (std::size_t k = 0; k < point.reference.size(); ++k) {
+                square += (point.volume[k] - point.reference[k]).length2();
+            }
+            const double rms
+                = std::sqrt(square / (3.0 * static_cast<double>(point.reference.size())));
+            report.worst.push_back({point.position, mean > 0 ? rms / mean : rms == 0 ? 0 : kInf});
+        }
+        std::stable_sort(report.worst.begin(), report.worst.end(),
+            [](const auto& a, const auto& b) { return a.error > b.error; });
+        if (report.worst.size() > kWorstPlaces) report.worst.resize(kWorstPlaces);
+    }
+
+    /// One thread, places in random order.
+    double timeQueries() const
+    {
+        const std::vector<Vec3d> points = randomPoints(kTimedQueries, kMaxRounds);
+        std::vector<Vec3f> normals(points.size());
+        for (std::size_t i = 0; i < points.size(); ++i) normals[i] = mNormals[i % mNormals.size()];
+        std::vector<Color> E(points.size());
+        const auto start = std::chrono::steady_clock::now();
+        mSampler.irradiance(points.size(), points.data(), normals.data(), E.data());
+        const double seconds
+            = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+        return seconds * 1e9 / static_cast<double>(points.size());
+    }
+
+    static constexpr double kInf = std::numeric_limits<double>::infinity();
+    const IrradianceVolume& mVolume;
+    const EvaluateOptions& mOptions;
+    VolumeSampler mSampler;
+    std::vector<Vec3f> mNormals;
+    ProbeEstimator mEstimator;
+    tbb::enumerable_thread_specific<ProbeEstimator::Workspace> mWorkspaces;
+    std::vector<Comparison> mComparisons;
+};
+
+} // namespace
+
+void EvaluateOptions::validate() const
+{
+    if (givenPoints.empty() && (points < 1 || points > 100000000)) {
+        throw Error(
+            ErrorCode::Usage, "points is " + std::to_string(points) + "; take 1 to 100000000.");
+    }
+    if (normals < 1 || normals > 4096) {
+        throw Error(
+            ErrorCode::Usage, "normals is " + std::to_string(normals) + "; take 1 to 4096.");
+    }
+}
+
+std::vector<Vec3f> uniformNormals(int count)
+{
+    constexpr double kGoldenAngle = 2.39996322972865332223; // π(3 − √5)
+    std::vector<Vec3f> normals(static_cast<std::size_t>(count));
+    for (int i = 0; i < count; ++i) {
+        const double z = 1 - (2 * i + 1.0) / count, r = std::sqrt(std::max(0.0, 1 - z * z));
+        normals[static_cast<std::size_t>(i)]
+            = Vec3f(Vec3d(r * std::cos(kGoldenAngle * i), r * std::sin(kGoldenAngle * i), z));
+    }
+    return normals;
+}
+
+EvaluateReport evaluateVolume(const IrradianceVolume& volume, const Tracer& tracer,
+    const EvaluateOptions& options, Progress* progress)
+{
+    options.validate();
+    Progress silent;
+    EvaluateReport report;
+    withThreads(options.threads,
+        [&] { report = Evaluator(volume, tracer, options).run(progress ? *progress : silent); });
+    return report;
+}
+
+} // namespace lumivdb

@@ -1,0 +1,318 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "path.h"
+
+#include "directions.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace lumivdb {
+
+namespace {
+
+constexpr float kPi = 3.14159265358979323846f;
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+constexpr double kUniformPdf = 1 / (4 * 3.14159265358979323846);
+/// Separates the random numbers of emitter strata from those of the directions.
+constexpr std::uint64_t kEmitterStream = 0x51ed270b35ae3d29ull;
+/// Beyond this many reflections every path has a chance to end, so that a room of albedo 1 does.
+/// A lower survival than the albedo squared would make the variance infinite.
+constexpr int kLongPath = 2048;
+constexpr float kLongPathSurvival = 0.999f;
+/// Shadow rays stop this much short of the light, in their length: Embree's distances round.
+constexpr float kShadowEnd = 1 - 0x1p-17f;
+/// Punctual lights are weighed one by one up to this many, then chosen by intensity alone.
+constexpr std::size_t kWeighedLights = 64;
+
+float maxComponent(const Color& c) { return std::max({c.x, c.y, c.z}); }
+
+/// Cosine-distributed direction about unit @a n (Malley; frame of Duff et al., JCGT 6(1), 2017).
+Vec3f cosineDirection(const Vec3f& n, float u1, float u2)
+{
+    const float sign = std::copysign(1.0f, n.z);
+    const float a = -1 / (sign + n.z), b = n.x * n.y * a;
+    const Vec3f t(1 + sign * n.x * n.x * a, sign * b, -sign * n.x);
+    const Vec3f s(b, sign + n.y * n.y * a, -n.y);
+    const float r = std::sqrt(u1), phi = 2 * kPi * u2;
+    return (
+        t * (r * std::cos(phi)) + s * (r * std::sin(phi)) + n * std::sqrt(std::max(1 - u1, 1e-12f)))
+        .normalized();
+}
+
+/// Survival probability of a path: paths that carry much go on for certain, the others in
+/// proportion, so that what survives carries about half.
+float survival(const Color& throughput, int bounce)
+{
+    const float q = std::min(1.0f, 2 * maxComponent(throughput));
+    return bounce < kLongPath ? q : std::min(q, kLongPathSurvival);
+}
+
+void pushShadow(RayBatch& rays, const Vec3f& from, const EmitterSample& s)
+{
+    if (s.infinite) {
+        rays.push(from, s.direction, kInfinity);
+    } else {
+        rays.push(from, s.target - from, kShadowEnd);
+    }
+}
+
+} // namespace
+
+void PathTracer::note(const RayBatch& rays, bool shadow)
+{
+    if (!mRecorder) return;
+    for (int i = 0; i < rays.count; ++i) {
+        mRecorder->push_back(
+            {Vec3f(rays.ox[i], rays.oy[i], rays.oz[i]), rays.direction(i), rays.tfar[i], shadow});
+    }
+}
+
+void PathTracer::trace(const Vec3f& p, const Vec3f* directions, std::uint64_t first, int count,
+    std::uint64_t key, PathBatchResult& result)
+{
+    result.traced = 0;
+    result.rays.count = 0;
+    for (int i = 0; i < count; ++i) {
+        result.rays.push(p, directions[i], kInfinity);
+        result.uniform[i] = Color(0.0f);
+        result.emitter[i] = Color(0.0f);
+        result.ex[i] = result.ey[i] = 0;
+        result.ez[i] = 1;
+    }
+    if (mOptions.contribution != Contribution::Indirect && !mImpl.emitters.empty()) {
+        sampleEmittersAtProbe(p, first, count, result);
+    }
+    intersectCoherent(mImpl, result.rays, result.hits);
+    note(result.rays, false);
+    result.traced += static_cast<std::uint64_t>(count);
+    startPaths(first, count, key, result);
+    if (mOptions.contribution == Contribution::Direct) return;
+    for (int bounce = 1; mPathCount > 0; ++bounce) {
+        if (mOptions.maxBounces >= 0 && bounce > mOptions.maxBounces) break;
+        reflectFromEmitters(result);
+        reflectFromPunctual(result);
+        scatter(bounce, result);
+    }
+}
+
+void PathTracer::sampleEmittersAtProbe(
+    const Vec3f& p, std::uint64_t first, int count, PathBatchResult& result)
+{
+    mShadow.count = 0;
+    const auto total = static_cast<std::uint64_t>(mOptions.rays);
+    for (int i = 0; i < count; ++i) {
+        const double t = jitteredStratum(
+            mOptions.seed ^ kEmitterStream, first + static_cast<std::uint64_t>(i), total);
+        const EmitterSample s
+            = mImpl.emitters.sampleStratum(p, t, [&](std::uint32_t triangle, float u, float v) {
+                  return mImpl.emissionAt(mImpl.triangles[triangle], u, v);
+              });
+        if (!(s.pdf > 0)) continue;
+        // Balance heuristic over one uniform and one emitter direction a stratum.
+        mShadowValue[mShadow.count] = s.radiance * static_cast<float>(1 / (s.pdf + kUniformPdf));
+        mShadowStratum[mShadow.count] = i;
+        pushShadow(mShadow, p, s);
+        result.ex[i] = s.direction.x;
+        result.ey[i] = s.direction.y;
+        result.ez[i] = s.direction.z;
+    }
+    occlude(mImpl, mShadow, mOccluded);
+    note(mShadow, true);
+    result.traced += static_cast<std::uint64_t>(mShadow.count);
+    for (int j = 0; j < mShadow.count; ++j) {
+        if (!mOccluded[j]) result.emitter[mShadowStratum[j]] = mShadowValue[j];
+    }
+}
+
+void PathTracer::startPaths(
+    std::uint64_t first, int count, std::uint64_t key, PathBatchResult& result)
+{
+    const bool direct = mOptions.contribution != Contribution::Indirect;
+    const auto weight
+        = [](double pdf) { return static_cast<float>(kUniformPdf / (kUniformPdf + pdf)); };
+    mPathCount = 0;
+    for (int i = 0; i < count; ++i) {
+        const Vec3f d = result.rays.direction(i);
+        result.backFace[i] = false;
+        if (result.hits.triangle[i] == kMiss) {
+            if (!direct || !mImpl.scene->environment) continue;
+            result.uniform[i] = mImpl.scene->environment->radiance(Vec3d(d))
+                * weight(mImpl.emitters.pdfEnvironment(d));
+            continue;
+        }
+        Path& path = mPaths[mPathCount];
+        path.surface
+            = mImpl.surfaceAt(result.hits.triangle[i], result.hits.u[i], result.hits.v[i], d);
+        const SurfacePoint& s = path.surface;
+        result.backFace[i] = s.backFace;
+        if (direct && s.emitter >= 0) {
+            const double pdf = mImpl.emitters.pdfTriangle(
+                s.emitter, result.hits.t[i], std::abs(s.normal.dot(d)));
+            result.uniform[i] = s.emission * weight(pdf);
+        }
+        if (maxComponent(s.albedo) <= 0) continue;
+        path.throughput = Color(1.0f);
+        path.stratum = i;
+        path.rng = CounterRng(hashCombine(key, first + static_cast<std::uint64_t>(i)));
+        ++mPathCount;
+    }
+}
+
+void PathTracer::addUnoccluded(PathBatchResult& result)
+{
+    occlude(mImpl, mShadow, mOccluded);
+    note(mShadow, true);
+    result.traced += static_cast<std::uint64_t>(mShadow.count);
+    for (int j = 0; j < mShadow.count; ++j) {
+        if (!mOccluded[j]) result.uniform[mShadowStratum[j]] += mShadowValue[j];
+    }
+}
+
+void PathTracer::reflectFromEmitters(PathBatchResult& result)
+{
+    if (mImpl.emitters.empty()) return;
+    mShadow.count = 0;
+    for (int j = 0; j < mPathCount; ++j) {
+        Path& path = mPaths[j];
+        const SurfacePoint& s = path.surface;
+        const Vec3f from = s.leaving();
+        const double t = path.rng.nextDouble(), u = path.rng.nextDouble(),
+                     v = path.rng.nextDouble();
+        const EmitterSample e
+            = mImpl.emitters.sample(from, t, u, v, [&](std::uint32_t triangle, float tu, float tv) {
+                  return mImpl.emissionAt(mImpl.triangles[triangle], tu, tv);
+              });
+        const float cosine = s.normal.dot(e.direction);
+        if (!(e.pdf > 0) || !(cosine > 0)) continue;
+        // f cos / (p_emitter + p_cosine): balance heuristic against the cosine sample of scatter().
+        const double density = e.pdf + cosine / kPi;
+        mShadowValue[mShadow.count]
+            = path.throughput * s.albedo * e.radiance * static_cast<float>(cosine / kPi / density);
+        mShadowStratum[mShadow.count] = path.stratum;
+        pushShadow(mShadow, from, e);
+    }
+    addUnoccluded(result);
+}
+
+bool PathTracer::choosePunctual(const SurfacePoint& s, CounterRng& rng, PunctualSample& light)
+{
+    const std::vector<Light>& lights = mImpl.scene->lights;
+    const Vec3f from = s.leaving();
+    const auto sampleLight = [&](std::size_t i) {
+        return samplePunctual(lights[i], mImpl.toLocal(lights[i].position), from);
+    };
+    if (lights.size() > kWeighedLights) {
+        const auto i = std::min(lights.size() - 1,
+            static_cast<std::size_t>(rng.nextDouble() * static_cast<double>(lights.size())));
+        light = sampleLight(i);
+        light.irradiance *= static_cast<float>(lights.size());
+        return s.normal.dot(light.direction) > 0;
+    }
+    float weights[kWeighedLights];
+    float total = 0;
+    for (std::size_t i = 0; i < lights.size(); ++i) {
+        const PunctualSample candidate = sampleLight(i);
+        weights[i]
+            = std::max(0.0f, s.normal.dot(candidate.direction)) * luminance(candidate.irradiance);
+        total += weights[i];
+    }
+    if (!(total > 0) || !std::isfinite(total)) return false;
+    float target = rng.next() * total;
+    std::size_t chosen = lights.size();
+    for (std::size_t i = 0; i < lights.size(); ++i) {
+        if (!(weights[i] > 0)) continue;
+        chosen = i;
+        target -= weights[i];
+        if (target < 0) break;
+    }
+    light = sampleLight(chosen);
+    light.irradiance *= total / weights[chosen];
+    return true;
+}
+
+void PathTracer::reflectFromPunctual(PathBatchResult& result)
+{
+    if (mImpl.scene->lights.empty()) return;
+    mShadow.count = 0;
+    for (int j = 0; j < mPathCount; ++j) {
+        Path& path = mPaths[j];
+        PunctualSample light;
+        if (!choosePunctual(path.surface, path.rng, light)) continue;
+        const float cosine = path.surface.normal.dot(light.direction);
+        mShadowValue[mShadow.count]
+            = path.throughput * path.surface.albedo * light.irradiance * (cosine / kPi);
+        mShadowStratum[mShadow.count] = path.stratum;
+        const Vec3f from = path.surface.leaving();
+        if (light.infinite) {
+            mShadow.push(from, light.direction, kInfinity);
+        } else {
+            mShadow.push(from, light.target - from, kShadowEnd);
+        }
+    }
+    addUnoccluded(result);
+}
+
+void PathTracer::scatter(int bounce, PathBatchResult& result)
+{
+    // Directions and survival of all paths, then one batch of rays.
+    int alive = 0;
+    mNext.count = 0;
+    for (int j = 0; j < mPathCount; ++j) {
+        Path path = mPaths[j];
+        path.throughput *= path.surface.albedo;
+        const float q = survival(path.throughput, bounce);
+        if (!(path.rng.next() < q)) continue;
+        path.throughput /= q;
+        const float u1 = path.rng.next(), u2 = path.rng.next();
+        mNext.push(path.surface.leaving(), cosineDirection(path.surface.normal, u1, u2), kInfinity);
+        mPaths[alive++] = path;
+    }
+    intersectSingle(mImpl, mNext, mNextHits);
+    note(mNext, false);
+    result.traced += static_cast<std::uint64_t>(mNext.count);
+
+    mPathCount = 0;
+    for (int j = 0; j < alive; ++j) {
+        Path path = mPaths[j];
+        const Vec3f d = mNext.direction(j);
+        const double cosinePdf = std::max(0.0f, path.surface.normal.dot(d)) / kPi;
+        const auto weight
+            = [&](double pdf) { return static_cast<float>(cosinePdf / (cosinePdf + pdf)); };
+        if (!(cosinePdf > 0)) continue;
+        if (mNextHits.triangle[j] == kMiss) {
+            if (!mImpl.scene->environment) continue;
+            result.uniform[path.stratum] += path.throughput
+                * mImpl.scene->environment->radiance(Vec3d(d))
+                * weight(mImpl.emitters.pdfEnvironment(d));
+            continue;
+        }
+        const SurfacePoint s
+            = mImpl.surfaceAt(mNextHits.triangle[j], mNextHits.u[j], mNextHits.v[j], d);
+        if (s.emitter >= 0) {
+            const double pdf
+                = mImpl.emitters.pdfTriangle(s.emitter, mNextHits.t[j], std::abs(s.normal.dot(d)));
+            result.uniform[path.stratum] += path.throughput * s.emission * weight(pdf);
+        }
+        if (maxComponent(s.albedo) <= 0) continue;
+        path.surface = s;
+        mPaths[mPathCount++] = path;
+    }
+}
+
+PunctualSample PathTracer::punctual(
+    std::size_t light, const Vec3f& p, const Vec3f& shadowOrigin) const
+{
+    const Light& l = mImpl.scene->lights[light];
+    PunctualSample s = samplePunctual(l, mImpl.toLocal(l.position), p);
+    if (!(maxComponent(s.irradiance) > 0)) return s;
+    RayBatch one;
+    one.push(shadowOrigin, s.infinite ? s.direction : s.target - shadowOrigin,
+        s.infinite ? kInfinity : kShadowEnd);
+    std::uint8_t occluded = 0;
+    occlude(mImpl, one, &occluded);
+    if (occluded) s.irradiance = Color(0.0f);
+    return s;
+}
+
+} // namespace lumivdb

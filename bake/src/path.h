@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+/// @file path.h
+/// A batch of paths from one point, advanced together: what each brings back, unbiased.
+
+#include "packets.h"
+
+#include <lumivdb/bake/probe.h>
+#include <lumivdb/core/random.h>
+
+#include <cstdint>
+#include <vector>
+
+namespace lumivdb {
+
+/// What a batch of consecutive strata brought back. All of it at the probe, local space.
+struct PathBatchResult {
+    RayBatch rays; ///< the uniform directions
+    HitBatch hits; ///< what they met first
+    /// Radiance along rays[i]; multiplied by the basis and 4π it estimates the integral.
+    Color uniform[kBatch];
+    /// Directions drawn towards emitters and what they give, already divided by the density:
+    /// added to the same stratum's estimate. Zero where nothing arrives.
+    float ex[kBatch], ey[kBatch], ez[kBatch];
+    Color emitter[kBatch];
+    bool backFace[kBatch];
+    std::uint64_t traced = 0; ///< rays, shadow rays included
+};
+
+/// A ray as it was traced, for measuring against Embree alone.
+struct RecordedRay {
+    Vec3f origin, direction;
+    float tfar;
+    bool shadow;
+};
+
+class PathTracer {
+public:
+    PathTracer(const Tracer::Impl& impl, const ProbeOptions& options)
+        : mImpl(impl)
+        , mOptions(options)
+    {
+    }
+
+    /// Strata [first, first + count) of the probe at @a p (local); count ≤ kBatch.
+    void trace(const Vec3f& p, const Vec3f* directions, std::uint64_t first, int count,
+        std::uint64_t key, PathBatchResult& result);
+
+    /// The light number @a light at @a p: irradiance on a surface facing it, 0 where shadowed.
+    PunctualSample punctual(std::size_t light, const Vec3f& p, const Vec3f& shadowOrigin) const;
+
+    /// Appends every ray traced from now on to @a rays; null ends it.
+    void record(std::vector<RecordedRay>* rays) { mRecorder = rays; }
+
+private:
+    struct Path {
+        SurfacePoint surface;
+        Color throughput;
+        int stratum;
+        CounterRng rng{0};
+    };
+    void sampleEmittersAtProbe(
+        const Vec3f& p, std::uint64_t first, int count, PathBatchResult& result);
+    void startPaths(std::uint64_t first, int count, std::uint64_t key, PathBatchResult& result);
+    void reflectFromEmitters(PathBatchResult& result);
+    void reflectFromPunctual(PathBatchResult& result);
+    void scatter(int bounce, PathBatchResult& result);
+    void addUnoccluded(PathBatchResult& result);
+    bool choosePunctual(const SurfacePoint& s, CounterRng& rng, PunctualSample& light);
+
+    void note(const RayBatch& rays, bool shadow);
+
+    const Tracer::Impl& mImpl;
+    const ProbeOptions& mOptions;
+    std::vector<RecordedRay>* mRecorder = nullptr;
+
+    Path mPaths[kBatch];
+    int mPathCount = 0;
+    RayBatch mShadow;
+    Color mShadowValue[kBatch];
+    int mShadowStratum[kBatch];
+    std::uint8_t mOccluded[kBatch];
+    RayBatch mNext;
+    HitBatch mNextHits;
+};
+
+} // namespace lumivdb

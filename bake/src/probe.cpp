@@ -1,0 +1,300 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <lumivdb/bake/probe.h>
+
+#include "directions.h"
+#include "path.h"
+
+#include <lumivdb/core/error.h>
+
+#include <tbb/blocked_range.h>
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace lumivdb {
+
+namespace {
+
+constexpr double kPi = 3.14159265358979323846;
+/// Strata a chunk: sums of chunks are added in order, so chunks may be traced by any thread.
+constexpr int kChunk = 4096;
+constexpr int kMaxRays = 1 << 26;
+
+/// Sums over consecutive strata for all basis functions.
+struct Sums {
+    std::vector<double> sum, differences2; // [basis function * 3 + channel]
+    std::uint64_t strata = 0, differences = 0, backFaces = 0, traced = 0;
+    double inverseDistance = 0;
+    float minDistance = std::numeric_limits<float>::infinity();
+
+    void reset(std::size_t functions)
+    {
+        *this = Sums();
+        sum.assign(functions * 3, 0.0);
+        differences2.assign(functions * 3, 0.0);
+    }
+    void add(const Sums& o)
+    {
+        for (std::size_t i = 0; i < sum.size(); ++i) {
+            sum[i] += o.sum[i];
+            differences2[i] += o.differences2[i];
+        }
+        strata += o.strata;
+        differences += o.differences;
+        backFaces += o.backFaces;
+        traced += o.traced;
+        inverseDistance += o.inverseDistance;
+        minDistance = std::min(minDistance, o.minDistance);
+    }
+};
+
+struct ShFunctions {
+    int bands;
+    int count() const { return coefficientCount(bands); }
+    void eval(int n, const float* x, const float* y, const float* z, float* out) const
+    {
+        evalShBasisBatch(bands, static_cast<std::size_t>(n), x, y, z, out);
+    }
+};
+
+struct CosineFunctions {
+    const std::vector<Vec3f>& normals;
+    int count() const { return static_cast<int>(normals.size()); }
+    void eval(int n, const float* x, const float* y, const float* z, float* out) const
+    {
+        for (const Vec3f& normal : normals) {
+            for (int i = 0; i < n; ++i) {
+                out[i] = std::max(0.0f, normal.x * x[i] + normal.y * y[i] + normal.z * z[i]);
+            }
+            out += n;
+        }
+    }
+};
+
+/// Scratch of one thread. Big: lives on the heap.
+struct Scratch {
+    explicit Scratch(const Tracer::Impl& impl, const ProbeOptions& options)
+        : paths(impl, options)
+    {
+    }
+    PathTracer paths;
+    PathBatchResult batch;
+    std::vector<float> uniformBasis, emitterBasis; // [function][stratum of the batch]
+    std::vector<float> previous; // last stratum's value, as Sums::sum
+    Sums sums;
+};
+
+/// Adds a batch's strata to the sums: f_i = 4π L(ω_i) y(ω_i) + L(ω'_i)/p y(ω'_i).
+/// Eight partial sums, so that the order does not depend on how a compiler vectorises.
+void accumulateFunction(int n, const float* uniform, const float* emitter, const float* yu,
+    const float* ye, bool hasPrevious, float& previous, double& sum, double& differences2)
+{
+    constexpr int kLanes = 8;
+    alignas(32) float f[kBatch + 1 + kLanes] = {};
+    f[0] = previous;
+    for (int i = 0; i < n; ++i) f[i + 1] = uniform[i] * yu[i] + emitter[i] * ye[i];
+    previous = f[n];
+    if (!hasPrevious) f[0] = f[1];
+    float s[kLanes] = {}, d[kLanes] = {};
+    int i = 0;
+    for (; i + kLanes <= n; i += kLanes) {
+        for (int l = 0; l < kLanes; ++l) {
+            const float v = f[i + l + 1], delta = v - f[i + l];
+            s[l] += v;
+            d[l] += delta * delta;
+        }
+    }
+    for (int l = 0; i + l < n; ++l) {
+        const float v = f[i + l + 1], delta = v - f[i + l];
+        s[l] += v;
+        d[l] += delta * delta;
+    }
+    for (int l = 0; l < kLanes; ++l) {
+        sum += s[l];
+        differences2 += d[l];
+    }
+}
+
+template <class Basis> void accumulate(const Basis& basis, int n, bool firstOfChunk, Scratch& w)
+{
+    const PathBatchResult& b = w.batch;
+    const auto functions = static_cast<std::size_t>(basis.count());
+    w.uniformBasis.resize(functions * kBatch);
+    w.emitterBasis.resize(functions * kBatch);
+    basis.eval(n, b.rays.dx, b.rays.dy, b.rays.dz, w.uniformBasis.data());
+    basis.eval(n, b.ex, b.ey, b.ez, w.emitterBasis.data());
+    constexpr auto kSphere = static_cast<float>(4 * kPi);
+    for (int c = 0; c < 3; ++c) {
+        alignas(32) float uniform[kBatch], emitter[kBatch];
+        for (int i = 0; i < n; ++i) {
+            uniform[i] = kSphere * b.uniform[i][c];
+            emitter[i] = b.emitter[i][c];
+        }
+        for (std::size_t k = 0; k < functions; ++k) {
+            const std::size_t j = k * 3 + static_cast<std::size_t>(c);
+            accumulateFunction(n, uniform, emitter, w.uniformBasis.data() + k * n,
+                w.emitterBasis.data() + k * n, !firstOfChunk, w.previous[j], w.sums.sum[j],
+                w.sums.differences2[j]);
+        }
+    }
+    w.sums.strata += static_cast<std::uint64_t>(n);
+    w.sums.differences += static_cast<std::uint64_t>(firstOfChunk ? n - 1 : n);
+    w.sums.traced += b.traced;
+    for (int i = 0; i < n; ++i) {
+        if (b.hits.triangle[i] == kMiss) continue;
+        w.sums.backFaces += b.backFace[i] ? 1 : 0;
+        w.sums.inverseDistance += 1.0 / std::max(b.hits.t[i], 1e-30f);
+        w.sums.minDistance = std::min(w.sums.minDistance, b.hits.t[i]);
+    }
+}
+
+template <class Basis>
+void traceChunk(const Vec3f& p, const Basis& basis, const std::vector<Vec3f>& directions,
+    std::size_t first, std::size_t last, std::uint64_t key, Scratch& w)
+{
+    w.sums.reset(static_cast<std::size_t>(basis.count()));
+    w.previous.assign(w.sums.sum.size(), 0.0f);
+    for (std::size_t i = first; i < last; i += kBatch) {
+        const int n = static_cast<int>(std::min<std::size_t>(kBatch, last - i));
+        w.paths.trace(p, directions.data() + i, i, n, key, w.batch);
+        accumulate(basis, n, i == first, w);
+    }
+}
+
+/// Point, spot and directional lights: one direction each, no noise.
+template <class Basis>
+std::uint64_t addPunctual(const PathTracer& paths, const Tracer::Impl& impl, const Vec3f& p,
+    const Basis& basis, std::vector<double>& values)
+{
+    std::vector<float> y(static_cast<std::size_t>(basis.count()));
+    for (std::size_t l = 0; l < impl.scene->lights.size(); ++l) {
+        const PunctualSample s = paths.punctual(l, p, p);
+        if (s.irradiance == Color(0.0f)) continue;
+        basis.eval(1, &s.direction.x, &s.direction.y, &s.direction.z, y.data());
+        for (std::size_t k = 0; k < y.size(); ++k) {
+            for (int c = 0; c < 3; ++c) {
+                values[k * 3 + static_cast<std::size_t>(c)]
+                    += static_cast<double>(s.irradiance[c]) * y[k];
+            }
+        }
+    }
+    return impl.scene->lights.size();
+}
+
+} // namespace
+
+const char* name(Contribution c)
+{
+    switch (c) {
+    case Contribution::All:
+        return "all";
+    case Contribution::Direct:
+        return "direct";
+    case Contribution::Indirect:
+        return "indirect";
+    }
+    return "all";
+}
+
+void ProbeOptions::validate() const
+{
+    if (rays < 2 || rays > kMaxRays) {
+        throw Error(ErrorCode::Usage,
+            "rays is " + std::to_string(rays) + "; take 2 to " + std::to_string(kMaxRays) + ".");
+    }
+    if (maxBounces < -1) {
+        throw Error(ErrorCode::Usage,
+            "maxBounces is " + std::to_string(maxBounces)
+                + "; take 0 or more, or -1 for no limit.");
+    }
+}
+
+struct ProbeEstimator::Workspace::Impl {
+    std::unique_ptr<Scratch> scratch;
+};
+
+ProbeEstimator::Workspace::Workspace()
+    : mImpl(std::make_unique<Impl>())
+{
+}
+ProbeEstimator::Workspace::~Workspace() = default;
+
+ProbeEstimator::ProbeEstimator(const Tracer& tracer, const ProbeOptions& options)
+    : mTracer(tracer)
+    , mOptions(options)
+{
+    options.validate();
+    mDirections = stratifiedDirections(options.seed, options.rays);
+}
+
+ProbeEstimator::~ProbeEstimator() = default;
+
+template <class Basis>
+ProbeResult ProbeEstimator::estimate(
+    const Vec3d& world, const Basis& basis, std::uint64_t key, Workspace& workspace) const
+{
+    const Tracer::Impl& impl = mTracer.impl();
+    const Vec3f p = impl.toLocal(world);
+    const std::size_t n = mDirections.size(), chunks = (n + kChunk - 1) / kChunk;
+    auto& own = workspace.mImpl->scratch;
+    if (!own) own = std::make_unique<Scratch>(impl, mOptions);
+
+    Sums total;
+    if (chunks == 1) {
+        traceChunk(p, basis, mDirections, 0, n, key, *own);
+        total = own->sums;
+    } else {
+        tbb::enumerable_thread_specific<std::unique_ptr<Scratch>> scratch;
+        std::vector<Sums> parts(chunks);
+        tbb::parallel_for(std::size_t{0}, chunks, [&](std::size_t c) {
+            auto& local = scratch.local();
+            if (!local) local = std::make_unique<Scratch>(impl, mOptions);
+            traceChunk(
+                p, basis, mDirections, c * kChunk, std::min(n, (c + 1) * kChunk), key, *local);
+            parts[c] = local->sums;
+        });
+        total.reset(static_cast<std::size_t>(basis.count()));
+        for (const Sums& part : parts) total.add(part);
+    }
+
+    const double count = static_cast<double>(n);
+    for (double& s : total.sum) s /= count;
+    if (mOptions.contribution != Contribution::Indirect) {
+        total.traced += addPunctual(own->paths, impl, p, basis, total.sum);
+    }
+    ProbeResult r;
+    r.value.resize(static_cast<std::size_t>(basis.count()));
+    r.stderr_.resize(r.value.size());
+    for (std::size_t k = 0; k < r.value.size(); ++k) {
+        for (int c = 0; c < 3; ++c) {
+            const std::size_t j = k * 3 + static_cast<std::size_t>(c);
+            const double variance = total.differences2[j]
+                / (2.0 * std::max<double>(1.0, static_cast<double>(total.differences)));
+            r.value[k][c] = static_cast<float>(total.sum[j]);
+            r.stderr_[k][c] = static_cast<float>(std::sqrt(variance / count));
+        }
+    }
+    r.validity = static_cast<float>(1.0 - static_cast<double>(total.backFaces) / count);
+    r.distance = total.inverseDistance > 0 ? static_cast<float>(count / total.inverseDistance)
+                                           : std::numeric_limits<float>::infinity();
+    r.minDistance = total.minDistance;
+    r.rays = total.traced;
+    return r;
+}
+
+ProbeResult ProbeEstimator::radianceSh(
+    const Vec3d& p, int bands, std::uint64_t key, Workspace& workspace) const
+{
+    return estimate(p, ShFunctions{bands}, key, workspace);
+}
+
+ProbeResult ProbeEstimator::irradiance(const Vec3d& p, const std::vector<Vec3f>& normals,
+    std::uint64_t key, Workspace& workspace) const
+{
+    return estimate(p, CosineFunctions{normals}, key, workspace);
+}
+
+} // namespace lumivdb

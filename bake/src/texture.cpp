@@ -1,0 +1,276 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "texture.h"
+
+#include "scene_import.h"
+
+#include <OpenImageIO/filesystem.h>
+#include <OpenImageIO/imageio.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <memory>
+
+namespace lumivdb {
+
+namespace {
+
+/// 16384²: 4 GiB once decoded to floats. Larger claims are more likely an attack than a texture.
+constexpr std::int64_t kMaxPixels = std::int64_t(1) << 28;
+
+/// Position on one axis: the two texels around u and the weight of the second.
+struct Tap {
+    int first;
+    int second;
+    float weight;
+};
+
+/// Brings u into [0, 1], which keeps texel numbers small whatever the file says.
+float foldCoordinate(float u, WrapMode mode)
+{
+    if (!std::isfinite(u)) return 0.0f;
+    if (mode == WrapMode::ClampToEdge) return std::clamp(u, 0.0f, 1.0f);
+    if (mode == WrapMode::Repeat) return u - std::floor(u);
+    const float period = u - 2.0f * std::floor(u * 0.5f);
+    return period > 1.0f ? 2.0f - period : period;
+}
+
+/// Texel number of i ∈ {−1 … n}: beyond a border only Repeat continues on the other side (mirrored
+/// and clamped images continue with the border texel itself).
+int wrapTexel(int i, int n, WrapMode mode)
+{
+    if (i < 0) return mode == WrapMode::Repeat ? n - 1 : 0;
+    if (i >= n) return mode == WrapMode::Repeat ? 0 : n - 1;
+    return i;
+}
+
+Tap linearTap(float u, int n, WrapMode mode)
+{
+    const float x = foldCoordinate(u, mode) * static_cast<float>(n) - 0.5f;
+    const float base = std::floor(x);
+    const int i = static_cast<int>(base);
+    return {wrapTexel(i, n, mode), wrapTexel(i + 1, n, mode), x - base};
+}
+
+int nearestTexel(float u, int n, WrapMode mode)
+{
+    const int i = static_cast<int>(std::floor(foldCoordinate(u, mode) * static_cast<float>(n)));
+    return std::clamp(i, 0, n - 1);
+}
+
+bool isPng(const unsigned char* b, std::size_t n)
+{
+    return n >= 4 && std::memcmp(b, "\x89PNG", 4) == 0;
+}
+
+/// The format plugin is chosen by extension, so bytes without a name need one.
+const char* nameForBytes(const unsigned char* b, std::size_t n)
+{
+    const auto starts = [&](const char* magic, std::size_t length) {
+        return n >= length && std::memcmp(b, magic, length) == 0;
+    };
+    if (isPng(b, n)) return "memory.png";
+    if (starts("\xff\xd8\xff", 3)) return "memory.jpg";
+    if (starts("RIFF", 4)) return "memory.webp";
+    if (starts("\x76\x2f\x31\x01", 4)) return "memory.exr";
+    if (starts("#?", 2)) return "memory.hdr";
+    if (starts("II*\0", 4) || starts("MM\0*", 4)) return "memory.tif";
+    if (starts("DDS ", 4)) return "memory.dds";
+    if (starts("BM", 2)) return "memory.bmp";
+    return nullptr;
+}
+
+/// CRC-32 of the PNG specification, annex D.
+std::uint32_t crc32(const unsigned char* bytes, std::size_t size)
+{
+    std::uint32_t crc = 0xffffffffu;
+    for (std::size_t i = 0; i < size; ++i) {
+        crc ^= bytes[i];
+        for (int bit = 0; bit < 8; ++bit) crc = (crc >> 1) ^ (crc & 1 ? 0xedb88320u : 0u);
+    }
+    return ~crc;
+}
+
+/// Whether all chunks of a PNG are there and undamaged. libpng would find out too, but it writes to
+/// stderr, and OpenImageIO's reader leaks memory where the data ends early.
+bool isPngIntact(const unsigned char* b, std::size_t n)
+{
+    const auto word = [&](std::size_t at) {
+        return std::uint32_t(b[at]) << 24 | std::uint32_t(b[at + 1]) << 16
+            | std::uint32_t(b[at + 2]) << 8 | std::uint32_t(b[at + 3]);
+    };
+    for (std::size_t at = 8; n >= 12 && at <= n - 12;) {
+        const std::size_t length = word(at);
+        if (length > n - 12 - at) return false;
+        if (word(at + 8 + length) != crc32(b + at + 4, length + 4)) return false;
+        if (std::memcmp(b + at + 4, "IEND", 4) == 0) return true;
+        at += 12 + length;
+    }
+    return false;
+}
+
+struct RawImage {
+    int width = 0, height = 0, channels = 0;
+    int alpha = -1; ///< channel number
+    bool encoded = false; ///< integer pixels: sRGB
+    bool eightBit = false;
+    std::vector<float> values;
+};
+
+std::string readRaw(OIIO::ImageInput& input, RawImage& raw)
+{
+    const OIIO::ImageSpec& spec = input.spec();
+    if (spec.width < 1 || spec.height < 1 || spec.nchannels < 1) return "it has no pixels";
+    if (spec.depth > 1 || spec.nchannels > 64) return "it is not a flat colour image";
+    if (std::int64_t(spec.width) * spec.height > kMaxPixels) return "it is larger than 16384²";
+    raw.width = spec.width;
+    raw.height = spec.height;
+    raw.channels = std::min(spec.nchannels, 4);
+    raw.encoded = !spec.format.is_floating_point();
+    raw.eightBit = spec.format == OIIO::TypeDesc::UINT8;
+    raw.alpha = spec.alpha_channel;
+    // Greyscale with alpha is told apart from two colours by the name of the channel.
+    if (raw.channels == 4 && raw.alpha < 0 && raw.encoded) raw.alpha = 3;
+    if (raw.channels == 2) raw.alpha = 1;
+    raw.values.resize(std::size_t(raw.width) * raw.height * raw.channels);
+    if (!input.read_image(0, 0, 0, raw.channels, OIIO::TypeDesc::FLOAT, raw.values.data())) {
+        const std::string why = input.geterror();
+        return why.empty() ? "its pixels cannot be read" : why;
+    }
+    return {};
+}
+
+/// One pixel to linear RGBA; true where a value had to be replaced.
+bool convertPixel(
+    const RawImage& raw, const std::array<float, 256>& decodeTable, const float* in, float* out)
+{
+    const int colours
+        = raw.alpha >= 0 && raw.alpha < raw.channels ? raw.channels - 1 : raw.channels;
+    bool repaired = false;
+    for (int c = 0; c < 3; ++c) {
+        float v = in[colours >= 3 ? c : 0];
+        if (!(v >= 0.0f) || std::isinf(v)) { // NaN too
+            v = 0.0f;
+            repaired = true;
+        }
+        if (raw.eightBit) {
+            out[c] = decodeTable[static_cast<std::size_t>(v * 255.0f + 0.5f) & 255];
+        } else {
+            out[c] = raw.encoded ? decodeSrgb(v) : v;
+        }
+    }
+    const float a = colours < raw.channels ? in[raw.alpha] : 1.0f;
+    out[3] = a >= 0.0f ? std::min(a, 1.0f) : 0.0f;
+    return repaired;
+}
+
+TextureDecode decode(std::unique_ptr<OIIO::ImageInput> input, Texture& texture)
+{
+    TextureDecode result;
+    RawImage raw;
+    result.reason = input ? readRaw(*input, raw) : OIIO::geterror();
+    if (!input && result.reason.empty()) result.reason = "its format is not known";
+    if (!result.reason.empty()) {
+        // The reader's own words may span lines; a warning is one sentence.
+        std::replace(result.reason.begin(), result.reason.end(), '\n', ' ');
+        return result;
+    }
+    texture.width = raw.width;
+    texture.height = raw.height;
+    const std::size_t pixels = std::size_t(raw.width) * raw.height;
+    texture.pixels.resize(pixels * 4);
+    std::array<float, 256> table;
+    for (std::size_t i = 0; i < 256; ++i) table[i] = decodeSrgb(static_cast<float>(i) / 255.0f);
+    for (std::size_t i = 0; i < pixels; ++i) {
+        if (convertPixel(raw, table, &raw.values[i * raw.channels], &texture.pixels[i * 4])) {
+            result.repaired = true;
+        }
+    }
+    result.ok = true;
+    return result;
+}
+
+/// Straight alpha: a reader that premultiplied would darken the colours under a mask.
+OIIO::ImageSpec readerConfig()
+{
+    OIIO::ImageSpec config;
+    config["oiio:UnassociatedAlpha"] = 1;
+    return config;
+}
+
+} // namespace
+
+float decodeSrgb(float encoded)
+{
+    if (encoded <= 0.04045f) return encoded / 12.92f;
+    return static_cast<float>(std::pow((static_cast<double>(encoded) + 0.055) / 1.055, 2.4));
+}
+
+TextureDecode decodeTexture(const unsigned char* bytes, std::size_t size, Texture& texture)
+{
+    TextureDecode failed;
+    const char* name = nameForBytes(bytes, size);
+    if (!name) {
+        failed.reason = "its format is not known";
+        return failed;
+    }
+    if (isPng(bytes, size) && !isPngIntact(bytes, size)) {
+        failed.reason = "the PNG is damaged";
+        return failed;
+    }
+    OIIO::Filesystem::IOMemReader memory(bytes, size);
+    OIIO::ImageSpec config = readerConfig();
+    // As an attribute, because open() with a proxy argument still looks for a file of that name.
+    OIIO::Filesystem::IOProxy* proxy = &memory;
+    config.attribute("oiio:ioproxy", OIIO::TypeDesc::PTR, &proxy);
+    try {
+        return decode(OIIO::ImageInput::open(name, &config), texture);
+    } catch (const std::exception& e) {
+        failed.reason = e.what();
+        return failed;
+    }
+}
+
+TextureDecode decodeTextureFile(const std::string& path, Texture& texture)
+{
+    const OIIO::ImageSpec config = readerConfig();
+    try {
+        const std::vector<unsigned char> bytes = readFileBytes(path);
+        if (isPng(bytes.data(), bytes.size())) {
+            return decodeTexture(bytes.data(), bytes.size(), texture);
+        }
+        return decode(OIIO::ImageInput::open(path, &config), texture);
+    } catch (const std::exception& e) {
+        TextureDecode failed;
+        failed.reason = e.what();
+        return failed;
+    }
+}
+
+std::array<float, 4> Texture::sample(float u, float v) const
+{
+    if (width < 1 || height < 1) return {1, 1, 1, 1};
+    const auto texel
+        = [&](int x, int y) { return &pixels[(static_cast<std::size_t>(y) * width + x) * 4]; };
+    std::array<float, 4> result;
+    if (nearest) {
+        const float* t = texel(nearestTexel(u, width, wrapU), nearestTexel(v, height, wrapV));
+        std::copy(t, t + 4, result.begin());
+        return result;
+    }
+    const Tap x = linearTap(u, width, wrapU);
+    const Tap y = linearTap(v, height, wrapV);
+    const float* t00 = texel(x.first, y.first);
+    const float* t10 = texel(x.second, y.first);
+    const float* t01 = texel(x.first, y.second);
+    const float* t11 = texel(x.second, y.second);
+    for (int c = 0; c < 4; ++c) {
+        const float top = t00[c] + (t10[c] - t00[c]) * x.weight;
+        const float bottom = t01[c] + (t11[c] - t01[c]) * x.weight;
+        result[static_cast<std::size_t>(c)] = top + (bottom - top) * y.weight;
+    }
+    return result;
+}
+
+} // namespace lumivdb
