@@ -1,0 +1,217 @@
+// SPDX-License-Identifier: Apache-2.0
+/// lumivdb probe: the light at given points of a scene, traced, without a volume.
+
+#include "common.h"
+#include "interrupt.h"
+#include "numbers.h"
+#include "points.h"
+#include "scene_options.h"
+
+#include <lumivdb/bake/bake.h>
+#include <lumivdb/core/random.h>
+
+#include <nlohmann/json.hpp>
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <cstring>
+
+namespace lumivdb::cli {
+
+namespace {
+
+/// What is known of one point.
+struct Probed {
+    ProbeResult light;
+    std::vector<Color> gradient[3]; ///< per world unit along x, y, z; empty where not asked for
+};
+
+class ProbeCommand : public Command {
+public:
+    void declare(Arguments& arguments) override;
+    void run(const Arguments& arguments) override;
+
+private:
+    void declareTracing(Arguments& arguments);
+    void validate(const Arguments& arguments) const;
+    std::vector<Probed> probeAll(const ProbeEstimator& estimator, const std::vector<Vec3d>& points,
+        Progress& progress) const;
+    Probed probeOne(const ProbeEstimator& estimator, const Vec3d& p,
+        ProbeEstimator::Workspace& workspace) const;
+    void print(const std::vector<Vec3d>& points, const std::vector<Probed>& probed) const;
+
+    CommonOptions mCommon;
+    SceneOptions mScene;
+    ProbeOptions mProbe;
+    std::string mPoints;
+    int mBands = 3;
+    GradientMethod mGradients = GradientMethod::None;
+    std::optional<double> mDelta;
+    double mStep = 0; // world units, of central differences
+};
+
+std::uint64_t bitsOf(double value)
+{
+    const double positiveZero = value + 0.0; // −0 is the same place
+    std::uint64_t bits;
+    std::memcpy(&bits, &positiveZero, sizeof bits);
+    return bits;
+}
+
+/// A point has the same random numbers wherever it stands in the file.
+std::uint64_t keyOf(std::uint64_t seed, const Vec3d& p)
+{
+    std::uint64_t key = mixBits(seed + 0x9e3779b97f4a7c15ull);
+    for (int axis = 0; axis < 3; ++axis) key = hashCombine(key, bitsOf(p[axis]));
+    return key;
+}
+
+Json jsonOf(const std::vector<Color>& colors)
+{
+    Json list = Json::array();
+    for (const Color& color : colors) list.push_back(cli::jsonOf(color));
+    return list;
+}
+
+/// Standard error of E averaged over normals, worst channel: that mean is A_0 L_00 Y_00.
+double averageStderr(const ProbeResult& light)
+{
+    constexpr double kY00 = 0.28209479177387814347;
+    const Color& c = light.stderr_[0];
+    return kCosineLobe[0] * kY00 * std::max({c.x, c.y, c.z});
+}
+
+void ProbeCommand::declareTracing(Arguments& arguments)
+{
+    arguments.section("Tracing");
+    arguments.integer("--rays", mProbe.rays, between(2, 67108864), "directions per point");
+    arguments.integer("--bands", mBands, between(1, kMaxBands), "SH bands: N*N coefficients");
+    arguments.choice<GradientMethod>("--gradients", mGradients,
+        {{"none", GradientMethod::None}, {"central", GradientMethod::Central}},
+        "derivatives of the coefficients from six more probes with the same directions; in the "
+        "JSON only");
+    arguments.real("--delta", mDelta, greaterThan(0), "distance of those probes, scene units",
+        "an eighth of the spacing that bake would choose");
+    declareLightTransport(arguments, mProbe.contribution, mProbe.maxBounces);
+    declareIntegrator(arguments);
+    arguments.seed("--seed", mProbe.seed, "random numbers; same seed and point, same bits");
+}
+
+void ProbeCommand::declare(Arguments& arguments)
+{
+    mScene.declarePositional(arguments);
+    arguments.describe("Prints CSV: x,y,z,validity,distance,stderr,sh_0_r,sh_0_g,sh_0_b,sh_1_r,... "
+                       "(radiance coefficients). validity: share of rays that met no back face; "
+                       "distance: harmonic mean to what they met; stderr: standard error of E "
+                       "averaged over normals, worst channel.");
+    arguments.text("--points", "FILE|-", mPoints,
+        "CSV of x,y,z a line, scene units, column names optional; - is standard input");
+    arguments.require();
+    mScene.declareLight(arguments);
+    mScene.declareLightGroup(arguments, "[default: all light]");
+    declareTracing(arguments);
+    arguments.section("General");
+    mCommon.declareThreads(arguments);
+    mCommon.declareJson(arguments,
+        "an array of objects: the columns, the standard error of each coefficient, gradients; with "
+        "- it replaces the CSV, with FILE it comes besides it");
+    mCommon.declareQuiet(arguments);
+    arguments.example(
+        "echo 0,1,0 | lumivdb probe room.glb --points - --rays 65536", "the light at one point");
+    arguments.example("lumivdb probe room.glb --points p.csv --gradients central --json -",
+        "with gradients and standard errors, as JSON");
+}
+
+void ProbeCommand::validate(const Arguments& arguments) const
+{
+    mScene.validate(arguments);
+    validateLightTransport(mProbe.contribution, mProbe.maxBounces);
+    mProbe.validate();
+    const bool central = mGradients == GradientMethod::Central;
+    if (central && mCommon.json.empty()) {
+        failUsage("--gradients central has no effect without --json; give --json FILE or -.");
+    }
+    if (mDelta && !central) {
+        failUsage("--delta has no effect without --gradients central; give both or none.");
+    }
+}
+
+Probed ProbeCommand::probeOne(
+    const ProbeEstimator& estimator, const Vec3d& p, ProbeEstimator::Workspace& workspace) const
+{
+    Probed probed;
+    const std::uint64_t key = keyOf(mProbe.seed, p);
+    probed.light = estimator.radianceSh(p, mBands, key, workspace);
+    if (mGradients == GradientMethod::None) return probed;
+    for (int axis = 0; axis < 3; ++axis) {
+        Vec3d step(0.0);
+        step[axis] = mStep;
+        const ProbeResult above = estimator.radianceSh(p + step, mBands, key, workspace);
+        const ProbeResult below = estimator.radianceSh(p - step, mBands, key, workspace);
+        const auto inverse = static_cast<float>(1 / (2 * mStep));
+        for (std::size_t i = 0; i < above.value.size(); ++i) {
+            probed.gradient[axis].push_back((above.value[i] - below.value[i]) * inverse);
+        }
+    }
+    return probed;
+}
+
+std::vector<Probed> ProbeCommand::probeAll(
+    const ProbeEstimator& estimator, const std::vector<Vec3d>& points, Progress& progress) const
+{
+    std::vector<Probed> probed(points.size());
+    tbb::enumerable_thread_specific<ProbeEstimator::Workspace> workspaces;
+    progress.begin("trace points", points.size());
+    const auto body = [&](std::size_t i) {
+        throwIfInterrupted();
+        probed[i] = probeOne(estimator, points[i], workspaces.local());
+        progress.advance(1);
+    };
+    tbb::parallel_for(std::size_t(0), points.size(), body);
+    return probed;
+}
+
+void ProbeCommand::print(const std::vector<Vec3d>& points, const std::vector<Probed>& probed) const
+{
+    std::vector<std::string> columns{"x", "y", "z", "validity", "distance", "stderr"};
+    appendShColumns(columns, coefficientCount(mBands));
+    RowWriter rows(std::move(columns), !mCommon.jsonToStdout(), !mCommon.json.empty());
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const Vec3d& p = points[i];
+        const ProbeResult& light = probed[i].light;
+        std::vector<double> values{p.x, p.y, p.z, jsonNumber(light.validity),
+            jsonNumber(light.distance), averageStderr(light)};
+        appendShValues(values, light.value.data(), coefficientCount(mBands));
+        std::vector<std::pair<std::string, Json>> more{{"sh_stderr", jsonOf(light.stderr_)}};
+        for (int axis = 0; axis < 3 && !probed[i].gradient[0].empty(); ++axis) {
+            more.emplace_back(std::string("sh_d") + "xyz"[axis], jsonOf(probed[i].gradient[axis]));
+        }
+        rows.add(values, more);
+    }
+    rows.finish(mCommon.json);
+}
+
+void ProbeCommand::run(const Arguments& arguments)
+{
+    validate(arguments);
+    mCommon.apply();
+    const PointList points = readPoints(mPoints);
+    const auto scene = mScene.load(mCommon.console);
+    if (mGradients == GradientMethod::Central) {
+        mStep = mDelta ? *mDelta : defaultSpacing(scene->bounds()) / 8;
+    }
+    ProgressBar progress(mCommon.console.progressStyle());
+    const Tracer tracer(scene, &progress);
+    throwIfInterrupted();
+    const ProbeEstimator estimator(tracer, mProbe);
+    const std::vector<Probed> probed = probeAll(estimator, points.positions, progress);
+    progress.finish();
+    print(points.positions, probed);
+}
+
+} // namespace
+
+std::unique_ptr<Command> makeProbeCommand() { return std::make_unique<ProbeCommand>(); }
+
+} // namespace lumivdb::cli

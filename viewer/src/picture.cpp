@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <lumivdb/viewer/picture.h>
+
+#include "spheres.h"
+#include "view.h"
+
+#include <lumivdb/bake/environment.h>
+#include <lumivdb/core/error.h>
+
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+
+namespace lumivdb {
+
+namespace {
+
+constexpr float kInvPi = 0.318309886183790672f;
+
+void require(bool good, const std::string& field, double value, const std::string& range)
+{
+    if (good) return;
+    throw Error(ErrorCode::Usage,
+        "The picture's " + field + " is " + std::to_string(value) + "; it must be " + range + ".");
+}
+
+/// Everything a pixel needs; shared by all threads.
+struct Stage {
+    const Tracer& tracer;
+    const VolumeSampler& sampler;
+    View view;
+    std::vector<Sphere> spheres;
+    double offset; ///< world units off the surface at which the volume is asked
+
+    Color reflected(const Vec3d& p, const Vec3f& n, const Color& albedo) const
+    {
+        const Vec3d off = p + Vec3d(n.x, n.y, n.z) * offset;
+        const Color E = sampler.irradiance(off, n);
+        Color out(0);
+        for (int c = 0; c < 3; ++c)
+            if (E[c] > 0) out[c] = albedo[c] * kInvPi * E[c]; // false for NaN: outside the volume
+        return out;
+    }
+
+    Color background(const Vec3d& direction) const
+    {
+        const Environment* environment = tracer.scene().environment.get();
+        return environment ? environment->radiance(direction) : Color(0);
+    }
+
+    Color shade(const Vec3d& direction) const
+    {
+        const SurfaceHit h = tracer.intersect(view.eye, direction);
+        double nearest = h.hit ? h.distance : INFINITY;
+        const Sphere* sphere = nullptr;
+        for (const Sphere& s : spheres) {
+            const double t = s.intersect(view.eye, direction);
+            if (t < 0 || t >= nearest) continue;
+            nearest = t;
+            sphere = &s;
+        }
+        if (sphere) {
+            const Vec3d p = view.eye + direction * nearest;
+            const Vec3d n = (p - sphere->centre).normalized();
+            return reflected(p, Vec3f(float(n.x), float(n.y), float(n.z)), Color(kSphereAlbedo));
+        }
+        if (!h.hit) return background(direction);
+        const Vec3f n = h.backFace ? -h.normal : h.normal;
+        return h.emission + reflected(h.position, n, h.albedo);
+    }
+};
+
+/// The mean of a square grid of rays, summed in a fixed order.
+Color renderPixel(const Stage& stage, const PictureOptions& options, int x, int y, int grid)
+{
+    Color sum(0);
+    for (int j = 0; j < grid; ++j) {
+        for (int i = 0; i < grid; ++i) {
+            const double s = (x + (i + 0.5) / grid) / options.width;
+            const double t = (y + (j + 0.5) / grid) / options.height;
+            sum += stage.shade(stage.view.direction(s, t));
+        }
+    }
+    return sum / float(grid * grid);
+}
+
+} // namespace
+
+void PictureOptions::validate() const
+{
+    require(width >= 1 && width <= 16384, "width", width, "1 to 16384 pixels");
+    require(height >= 1 && height <= 16384, "height", height, "1 to 16384 pixels");
+    require(samplesPerPixel >= 1 && samplesPerPixel <= 4096, "number of samples per pixel",
+        samplesPerPixel, "1 to 4096");
+    require(yfovDegrees >= 0 && yfovDegrees <= 179, "field of view", yfovDegrees,
+        "above 0 and at most 179 degrees, or 0 for the default");
+    require(spheres >= 0 && spheres <= 1000, "number of spheres", spheres, "0 to 1000");
+}
+
+Image renderPicture(const Tracer& tracer, const IrradianceVolume& volume,
+    const PictureOptions& options, Progress* progress)
+{
+    options.validate();
+    const VolumeSampler sampler(volume, options.mode);
+    Stage stage{tracer, sampler, chooseView(tracer, volume.worldBounds(), options), {},
+        kQueryOffset * volume.spacing()};
+    stage.spheres = placeSpheres(tracer, sampler, stage.view, options.spheres);
+
+    Image image;
+    image.width = options.width;
+    image.height = options.height;
+    image.pixels.resize(std::size_t(image.width) * image.height);
+    const int grid = std::max(1, int(std::lround(std::sqrt(double(options.samplesPerPixel)))));
+    if (progress) progress->begin("render picture", options.height);
+    tbb::parallel_for(0, options.height, [&](int y) {
+        if (progress && progress->cancelled()) return;
+        Color* row = image.pixels.data() + std::size_t(y) * image.width;
+        for (int x = 0; x < image.width; ++x) row[x] = renderPixel(stage, options, x, y, grid);
+        if (progress) progress->advance(1);
+    });
+    if (progress && progress->cancelled())
+        throw Error(ErrorCode::Interrupted, "The picture was interrupted before it was complete.");
+    return image;
+}
+
+} // namespace lumivdb
