@@ -1,0 +1,127 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "vdb_test.h"
+
+#include <lumivdb/core/error.h>
+#include <lumivdb/core/random.h>
+#include <lumivdb/vdb_io/volume_file.h>
+
+#include <catch2/catch.hpp>
+#include <openvdb/openvdb.h>
+
+#include <cstring>
+
+using namespace vdb_test;
+
+namespace {
+
+enum class Outcome { Loaded, Refused };
+
+/// Any other exception, and any crash, fails the test.
+Outcome tryLoad(const std::string& path)
+{
+    try {
+        loadVolume(path);
+        return Outcome::Loaded;
+    } catch (const Error& e) {
+        if (e.code() != ErrorCode::Input) FAIL("wrong code: " << e.what());
+        return Outcome::Refused;
+    }
+}
+
+void saveSmall(const std::string& path)
+{
+    SaveOptions options;
+    options.previewVoxel = -1;
+    saveVolume(uniformVolume({0, 0, 0}, {1, 1, 1}, 1, false), path, options);
+}
+
+/// As a program without the footer writes it.
+void rewrite(const std::string& from, const std::string& to)
+{
+    openvdb::io::File file(from);
+    file.open(/*delayLoad=*/false);
+    openvdb::io::File(to).write(*file.getGrids());
+}
+
+} // namespace
+
+TEST_CASE("every prefix of a file is refused")
+{
+    const TempFolder folder;
+    const std::string path = folder.file("a.vdb"), cut = folder.file("cut.vdb");
+    saveSmall(path);
+    REQUIRE(tryLoad(path) == Outcome::Loaded);
+    const std::vector<char> bytes = readBytes(path);
+    std::size_t loaded = 0;
+    for (std::size_t n = bytes.size(); n-- > 0;) {
+        writeBytes(cut, {bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(n)});
+        loaded += tryLoad(cut) == Outcome::Loaded;
+        if (n > 2000 && n + 2000 < bytes.size()) n -= 16; // begin and end byte by byte
+    }
+    CHECK(loaded == 0);
+}
+
+TEST_CASE("every flipped bit is noticed")
+{
+    const TempFolder folder;
+    const std::string path = folder.file("a.vdb"), flipped = folder.file("flipped.vdb");
+    saveSmall(path);
+    std::vector<char> bytes = readBytes(path);
+    CounterRng rng(1);
+    std::size_t loaded = 0, tried = 0;
+    for (std::size_t i = 0; i < bytes.size(); ++i) {
+        const bool edge = i < 2000 || i + 2000 > bytes.size();
+        if (!edge && rng.next() > 0.1f) continue;
+        const char old = bytes[i];
+        bytes[i] = static_cast<char>(old ^ (1 << (rng.bits() % 8)));
+        writeBytes(flipped, bytes);
+        if (tryLoad(flipped) == Outcome::Loaded) ++loaded, CAPTURE(i), CHECK(false);
+        bytes[i] = old;
+        ++tried;
+    }
+    CHECK(tried > 4000);
+    CHECK(loaded == 0);
+}
+
+TEST_CASE("bytes behind the footer and a foreign footer are noticed")
+{
+    const TempFolder folder;
+    const std::string path = folder.file("a.vdb");
+    saveSmall(path);
+    const std::vector<char> bytes = readBytes(path);
+    std::vector<char> longer = bytes;
+    longer.push_back(0);
+    writeBytes(path, longer);
+    CHECK(tryLoad(path) == Outcome::Refused);
+    std::vector<char> twice = bytes;
+    twice.insert(twice.end(), bytes.begin(), bytes.end());
+    writeBytes(path, twice);
+    CHECK(tryLoad(path) == Outcome::Refused);
+}
+
+TEST_CASE("damage to a file without footer never crashes, and no prefix loads")
+{
+    const TempFolder folder;
+    const std::string ours = folder.file("a.vdb"), path = folder.file("rewritten.vdb");
+    const std::string broken = folder.file("broken.vdb");
+    saveSmall(ours);
+    rewrite(ours, path);
+    REQUIRE(tryLoad(path) == Outcome::Loaded);
+    const std::vector<char> bytes = readBytes(path);
+    std::size_t loaded = 0;
+    for (std::size_t n = 0; n < bytes.size(); n += n < 1500 ? 1 : 97) {
+        writeBytes(broken, {bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(n)});
+        loaded += tryLoad(broken) == Outcome::Loaded;
+    }
+    CHECK(loaded == 0);
+    std::vector<char> flipped = bytes;
+    CounterRng rng(2);
+    std::size_t refused = 0;
+    for (std::size_t i = 0; i < bytes.size(); i += i < 1500 ? 1 : 61) {
+        flipped[i] = static_cast<char>(bytes[i] ^ (1 << (rng.bits() % 8)));
+        writeBytes(broken, flipped);
+        refused += tryLoad(broken) == Outcome::Refused;
+        flipped[i] = bytes[i];
+    }
+    CHECK(refused > 100); // without a checksum not every flip can be seen
+}
