@@ -44,6 +44,7 @@ private:
     std::string mOutput;
     std::optional<Interpolation> mMode;
     std::optional<double> mExposure;
+    std::optional<double> mFov;
     std::optional<SliceRequest> mSlice;
 };
 
@@ -73,8 +74,8 @@ void RenderCommand::declareView(Arguments& arguments)
         "where the camera is, scene units [default: the scene's first camera, else a view of the "
         "whole]");
     arguments.vector("--target", mPicture.target, "what it looks at [goes with --eye]");
-    arguments.real(
-        "--fov", mPicture.yfovDegrees, between(1, 170), "vertical field of view, degrees");
+    arguments.real("--fov", mFov, between(1, 170), "vertical field of view, degrees",
+        "the scene camera's where that is used, else 50");
     arguments.integer("--spheres", mPicture.spheres, between(0, 1000),
         "white test spheres in a row across the view, lit by the volume");
     arguments.integer("--samples", mPicture.samplesPerPixel, between(1, 4096), "rays a pixel");
@@ -147,6 +148,7 @@ void RenderCommand::renderScene(const IrradianceVolume& volume)
     ProgressBar progress(mCommon.console.progressStyle());
     const Tracer tracer(scene, &progress);
     throwIfInterrupted();
+    if (mFov) mPicture.yfovDegrees = *mFov;
     mPicture.mode = modeFor(mMode, volume, mVolume);
     const Image image = renderPicture(tracer, yUp, mPicture, &progress);
     progress.finish();

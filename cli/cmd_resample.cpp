@@ -36,8 +36,9 @@ private:
     void declareRecords(Arguments& arguments);
     void declarePlace(Arguments& arguments);
     void validate(const Arguments& arguments);
-    IrradianceVolume loadInput();
-    IrradianceVolume loadSum();
+    IrradianceVolume loadInput() const;
+    IrradianceVolume loadSum() const;
+    IrradianceVolume loadJoin() const;
     IrradianceVolume reshape(const IrradianceVolume& input, Progress& progress);
     IrradianceVolume place(IrradianceVolume volume) const;
     double measureError(const IrradianceVolume& input, const IrradianceVolume& result) const;
@@ -84,7 +85,7 @@ void ResampleCommand::declareRecords(Arguments& arguments)
     arguments.flag(
         "--uniform", mUniform, "one level of cells, of --spacing or the finest there is");
     declareUniformLevels(arguments);
-    declareMode(arguments, mMode);
+    declareMode(arguments, mMode, "trilinear");
     arguments.box("--crop", mCrop, "keeps the cells in this box, in the input's axes");
     const auto bands = [this](const std::string& value) {
         const auto number = parseInteger(value);
@@ -163,34 +164,47 @@ void ResampleCommand::validate(const Arguments& arguments)
     }
 }
 
-IrradianceVolume ResampleCommand::loadSum()
+/// Reads all of @a files and hands them to @a combine; what that says of "input 1" gets names.
+template <class Combine>
+IrradianceVolume combined(const std::vector<std::string>& files, const Combine& combine)
 {
-    std::vector<Term> terms = mTerms;
-    if (!mInputs.empty()) terms.insert(terms.begin(), {mInputs.front(), 1.0});
     std::vector<IrradianceVolume> volumes;
     std::vector<const IrradianceVolume*> pointers;
-    std::vector<double> factors;
-    for (const Term& term : terms) {
+    std::string named;
+    for (const std::string& file : files) {
         throwIfInterrupted();
-        volumes.push_back(loadVolume(term.file));
-        factors.push_back(term.factor);
-    }
-    for (const IrradianceVolume& volume : volumes) pointers.push_back(&volume);
-    return addVolumes(pointers, factors);
-}
-
-IrradianceVolume ResampleCommand::loadInput()
-{
-    if (!mTerms.empty()) return loadSum();
-    if (mInputs.size() == 1) return loadVolume(mInputs.front());
-    std::vector<IrradianceVolume> volumes;
-    std::vector<const IrradianceVolume*> pointers;
-    for (const std::string& file : mInputs) {
-        throwIfInterrupted();
+        named
+            += (named.empty() ? "" : ", ") + std::to_string(volumes.size()) + " is '" + file + "'";
         volumes.push_back(loadVolume(file));
     }
     for (const IrradianceVolume& volume : volumes) pointers.push_back(&volume);
-    return joinVolumes(pointers);
+    try {
+        return combine(pointers);
+    } catch (const Error& e) {
+        throw Error(e.code(), std::string(e.what()) + " (Input " + named + ".)");
+    }
+}
+
+IrradianceVolume ResampleCommand::loadSum() const
+{
+    std::vector<std::string> files = mInputs;
+    std::vector<double> factors(files.size(), 1.0);
+    for (const Term& term : mTerms) {
+        files.push_back(term.file);
+        factors.push_back(term.factor);
+    }
+    return combined(files, [&](const auto& volumes) { return addVolumes(volumes, factors); });
+}
+
+IrradianceVolume ResampleCommand::loadJoin() const
+{
+    return combined(mInputs, [](const auto& volumes) { return joinVolumes(volumes); });
+}
+
+IrradianceVolume ResampleCommand::loadInput() const
+{
+    if (!mTerms.empty()) return loadSum();
+    return mInputs.size() == 1 ? loadVolume(mInputs.front()) : loadJoin();
 }
 
 /// Crop, spacing, bands, gradients.
@@ -201,7 +215,7 @@ IrradianceVolume ResampleCommand::reshape(const IrradianceVolume& input, Progres
     const bool isUniform = volume.cellsByLevel().size() == 1;
     if (spacing != volume.spacing() || (mUniform && !isUniform)) {
         const std::string named = mInputs.empty() ? "the sum" : mInputs.front();
-        const Interpolation mode = modeFor(mMode, volume, named);
+        const Interpolation mode = modeFor(mMode.value_or(Interpolation::Trilinear), volume, named);
         if (volume.hasGradients() && !mDropGradients) {
             mCommon.console.warn("Gradients cannot be resampled: the result has none.");
         }

@@ -207,7 +207,9 @@ std::string irradianceHistogram(const VolumeStatistics& s)
         std::snprintf(
             low, sizeof low, "%8.2f", s.irradianceLog10Min + step * static_cast<double>(i));
         const double share = static_cast<double>(counts[i]) / static_cast<double>(largest);
-        out += low + padded(grouped(counts[i]), 12, true) + "  " + bar(share) + "\n";
+        const std::string drawn = bar(share);
+        out += low + padded(grouped(counts[i]), 12, true) + (drawn.empty() ? "" : "  " + drawn)
+            + "\n";
     }
     return out;
 }

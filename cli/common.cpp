@@ -82,7 +82,8 @@ double Stopwatch::restart()
     return passed;
 }
 
-void declareMode(Arguments& arguments, std::optional<Interpolation>& mode)
+void declareMode(
+    Arguments& arguments, std::optional<Interpolation>& mode, const std::string& whenAbsent)
 {
     static const std::vector<std::pair<std::string, Interpolation>> kModes
         = {{"nearest", Interpolation::Nearest}, {"taylor", Interpolation::Taylor},
@@ -100,8 +101,8 @@ void declareMode(Arguments& arguments, std::optional<Interpolation>& mode)
     };
     arguments.custom(names, "MODE", convert,
         "interpolation: nearest, taylor, trilinear, gradient or idw (inverse distance); taylor and "
-        "gradient need a volume with gradients [default: gradient where the volume has gradients, "
-        "else trilinear]");
+        "gradient need a volume with gradients [default: "
+            + whenAbsent + "]");
 }
 
 Interpolation modeFor(const std::optional<Interpolation>& mode, const IrradianceVolume& volume,

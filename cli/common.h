@@ -86,8 +86,9 @@ private:
     std::chrono::steady_clock::time_point mStart = std::chrono::steady_clock::now();
 };
 
-/// "--mode": nearest, taylor, …; nothing stands for the best the volume supports.
-void declareMode(Arguments& arguments, std::optional<Interpolation>& mode);
+/// "--mode": nearest, taylor, …; nothing stands for what @a whenAbsent says.
+void declareMode(Arguments& arguments, std::optional<Interpolation>& mode,
+    const std::string& whenAbsent = "gradient where the volume has gradients, else trilinear");
 /// The mode asked for, or the best one. @throws Error(Usage) when it needs gradients that
 /// @a volume (named @a path) has not.
 Interpolation modeFor(const std::optional<Interpolation>& mode, const IrradianceVolume& volume,

@@ -48,6 +48,10 @@ void SceneOptions::declareLight(Arguments& arguments)
     arguments.custom("--sun-lux", "E|R,G,B", lux,
         "irradiance of the sun on a surface that faces it, in the scene's units, grey or RGB "
         "[0 to 1e+30; goes with --sun-direction]");
+    arguments.choice<EmissionSides>("--emission-sides", mEmissionSides,
+        {{"material", EmissionSides::Material}, {"front", EmissionSides::Front}},
+        "which sides of emissive double-sided surfaces give light: both, as the material says, or "
+        "the front alone, as area lights do in many renderers");
 }
 
 void SceneOptions::declareLightGroup(Arguments& arguments, const std::string& help)
@@ -88,7 +92,11 @@ std::shared_ptr<const Scene> SceneOptions::load(Console& console) const
 {
     auto scene = std::make_shared<Scene>(loadScene(path));
     throwIfInterrupted();
-    console.warn(scene->warnings);
+    for (const std::string& warning : scene->warnings) {
+        // The importer cannot know of the light that these options add.
+        const bool isDark = warning.rfind("Nothing emits light", 0) == 0;
+        if (!isDark || (mEnvironment.empty() && !mSunDirection)) console.warn(warning);
+    }
     if (!mEnvironment.empty()) {
         EnvironmentOptions options = mEnvironmentOptions;
         options.scale = static_cast<float>(mEnvironmentScale);
@@ -98,6 +106,9 @@ std::shared_ptr<const Scene> SceneOptions::load(Console& console) const
         throwIfInterrupted();
     }
     addSun(*scene);
+    if (mEmissionSides == EmissionSides::Front) {
+        for (Material& material : scene->materials) material.emitsFrontOnly = true;
+    }
     if (!lightGroup.empty()) selectLightGroup(*scene, lightGroup);
     updateContentHash(*scene);
     return scene;

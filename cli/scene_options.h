@@ -33,6 +33,8 @@ public:
     std::string lightGroup;
 
 private:
+    enum class EmissionSides { Material, Front };
+
     void addSun(Scene& scene) const;
 
     std::string mEnvironment;
@@ -40,6 +42,7 @@ private:
     double mEnvironmentScale = 1;
     std::optional<Vec3d> mSunDirection;
     std::optional<Vec3d> mSunLux;
+    EmissionSides mEmissionSides = EmissionSides::Material;
 };
 
 /// --contribution and --max-bounces.

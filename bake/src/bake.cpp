@@ -20,7 +20,7 @@ namespace lumivdb {
 
 namespace {
 
-/// A sample closer to a surface than this share of the spacing is moved off it, to this distance.
+/// A sample closer to a surface than half this share of the spacing is moved off it, by this share.
 constexpr double kOnSurface = 1e-3;
 /// Rounding allowed when bounds are snapped to the lattice, in lattice steps.
 constexpr double kSnap = 1e-6;
@@ -78,25 +78,70 @@ Surroundings lookAround(const Tracer& tracer, const Vec3d& p)
     return s;
 }
 
-/// A lattice point that lies on a surface has two answers. It takes the side that sees fewer back
-/// faces, then the one from which fewer rays escape (inside rather than outside), then the front.
-/// Edges and corners of rooms take one move a surface.
+/// The places off all surfaces that moves along the normals of those nearby lead to, fronts first.
+void collectPlaces(
+    const Tracer& tracer, const Vec3d& p, double clearance, int moves, std::vector<Vec3d>& places)
+{
+    double distance = 0;
+    Vec3d normal;
+    if (!tracer.closestSurface(p, 0.5 * clearance, &distance, &normal)) {
+        places.push_back(p);
+    } else if (moves > 0) {
+        collectPlaces(tracer, p + normal * clearance, clearance, moves - 1, places);
+        collectPlaces(tracer, p - normal * clearance, clearance, moves - 1, places);
+    }
+}
+
+/// The best of the places offered: the one that sees fewest back faces, then the one from which
+/// fewest rays escape (inside rather than outside), then the first.
+class BestPlace {
+public:
+    explicit BestPlace(const Tracer& tracer)
+        : mTracer(tracer)
+    {
+    }
+    void offer(const Vec3d& p)
+    {
+        const Surroundings s = lookAround(mTracer, p);
+        const bool better = s.backFaces != mSeen.backFaces ? s.backFaces < mSeen.backFaces
+                                                           : s.escapes < mSeen.escapes;
+        if (!better) return;
+        mPlace = p;
+        mSeen = s;
+    }
+    const Vec3d& place() const { return mPlace; }
+    /// Whether it looks like the wrong side: a place inside sees none or a few odd ones.
+    bool isDoubtful() const { return mSeen.backFaces > 0.125; }
+
+private:
+    const Tracer& mTracer;
+    Vec3d mPlace{0, 0, 0};
+    Surroundings mSeen{2, 2}; // worse than any
+};
+
+/// A lattice point that lies on a surface has two answers, on an edge four, in a corner eight: see
+/// BestPlace. Places are compared once they are off *all* surfaces: rays that begin on one see
+/// either of its sides, by rounding.
 Vec3d moveOffSurfaces(const Tracer& tracer, const Vec3d& lattice, double spacing)
 {
-    constexpr int kMoves = 4;
+    constexpr int kMoves = 4; // the three surfaces of a corner, and one more
     const double clearance = kOnSurface * spacing;
-    Vec3d p = lattice;
-    for (int move = 0; move < kMoves; ++move) {
-        double distance = 0;
-        Vec3d normal;
-        if (!tracer.closestSurface(p, 0.5 * clearance, &distance, &normal)) break;
-        const Vec3d front = p + normal * clearance, back = p - normal * clearance;
-        const Surroundings f = lookAround(tracer, front), b = lookAround(tracer, back);
-        const bool takeBack
-            = b.backFaces != f.backFaces ? b.backFaces < f.backFaces : b.escapes < f.escapes;
-        p = takeBack ? back : front;
+    std::vector<Vec3d> places;
+    collectPlaces(tracer, lattice, clearance, kMoves, places);
+    if (places.size() == 1) return places[0];
+    BestPlace best(tracer);
+    for (const Vec3d& p : places) best.offer(p);
+    if (!places.empty() && !best.isDoubtful()) return best.place();
+
+    // In an acute edge no move along one normal stays inside: look further, all around.
+    constexpr int kDirections = 256;
+    static const std::vector<Vec3f> directions = stratifiedDirections(0, kDirections);
+    if (places.empty()) best.offer(lattice);
+    for (const Vec3f& d : directions) {
+        const Vec3d p = lattice + Vec3d(d) * (4 * clearance);
+        if (!tracer.closestSurface(p, 0.25 * clearance, nullptr, nullptr)) best.offer(p);
     }
-    return p;
+    return best.place();
 }
 
 class Baker {
@@ -230,6 +275,7 @@ double defaultSpacing(const Box3d& sceneBounds)
     const Vec3d size = sceneBounds.size();
     const double target = std::max({size.x, size.y, size.z}) / 20;
     if (!(target > 0)) return 0.1;
+    if (target < kMinSpacing) return kMinSpacing;
     const double decade = std::pow(10.0, std::floor(std::log10(target) + 1e-12));
     const double steps = target / decade * (1 + 1e-12);
     return decade * (steps >= 5 ? 5 : steps >= 2 ? 2 : 1);

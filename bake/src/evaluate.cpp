@@ -31,7 +31,7 @@ struct Comparison {
     std::vector<Color> volume, reference, error;
 };
 
-enum class Fate { Compared, InsideGeometry, OutsideVolume };
+enum class Fate { Compared, InsideGeometry, OutsideVolume, NotFinite };
 
 class Evaluator {
 public:
@@ -55,7 +55,10 @@ public:
             compareRound(mOptions.givenPoints, wanted, report, progress);
         } else {
             for (int round = 0; round < kMaxRounds && mComparisons.size() < wanted; ++round) {
-                compareRound(randomPoints(wanted, round), wanted, report, progress);
+                // Later rounds replace what was rejected, with some to spare.
+                const std::size_t missing = wanted - mComparisons.size();
+                const std::size_t count = round == 0 ? wanted : std::min(wanted, 2 * missing + 16);
+                compareRound(randomPoints(count, round), wanted, report, progress);
             }
         }
         report.points = mComparisons.size();
@@ -111,6 +114,7 @@ private:
         });
         if (stop) throw Error(ErrorCode::Interrupted, "The evaluation was interrupted.");
         for (std::size_t i = 0; i < points.size() && mComparisons.size() < wanted; ++i) {
+            if (fates[i] == Fate::NotFinite) throwNotFinite(points[i]);
             if (fates[i] == Fate::InsideGeometry) ++report.rejected;
             if (fates[i] == Fate::OutsideVolume && !mOptions.givenPoints.empty()) ++report.outside;
             if (fates[i] == Fate::Compared) mComparisons.push_back(std::move(round[i]));
@@ -136,7 +140,24 @@ private:
         c.reference = std::move(r.value);
         c.error = std::move(r.stderr_);
         for (const Vec3f& n : mNormals) c.volume.push_back(mSampler.irradiance(p, n));
-        return Fate::Compared;
+        const bool finite = std::all_of(c.volume.begin(), c.volume.end(), isFinite)
+            && std::all_of(c.reference.begin(), c.reference.end(), isFinite);
+        return finite ? Fate::Compared : Fate::NotFinite;
+    }
+
+    static bool isFinite(const Color& c)
+    {
+        return std::isfinite(c.x) && std::isfinite(c.y) && std::isfinite(c.z);
+    }
+
+    /// A NaN would pass every comparison of errors unseen.
+    [[noreturn]] static void throwNotFinite(const Vec3d& p)
+    {
+        throw Error(ErrorCode::Input,
+            "The volume's or the scene's light at (" + std::to_string(p.x) + ", "
+                + std::to_string(p.y) + ", " + std::to_string(p.z)
+                + ") is not a finite number; check the volume's samples and the scene's lights "
+                  "there.");
     }
 
     void summarise(EvaluateReport& report)

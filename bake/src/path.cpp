@@ -22,7 +22,7 @@ constexpr int kLongPath = 2048;
 constexpr float kLongPathSurvival = 0.999f;
 /// Shadow rays stop this much short of the light, in their length: Embree's distances round.
 constexpr float kShadowEnd = 1 - 0x1p-17f;
-/// Punctual lights are weighed one by one up to this many, then chosen by intensity alone.
+/// Punctual lights are weighed one by one up to this many, then chosen with equal chances.
 constexpr std::size_t kWeighedLights = 64;
 
 float maxComponent(const Color& c) { return std::max({c.x, c.y, c.z}); }

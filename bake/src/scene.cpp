@@ -74,6 +74,7 @@ void hashMaterial(ContentHasher& hasher, const Material& material)
     hasher.value(material.alphaFactor);
     hasher.value(material.alphaCutoff);
     hasher.value(int(material.doubleSided));
+    hasher.value(int(material.emitsFrontOnly));
 }
 
 void hashMesh(ContentHasher& hasher, const Mesh& mesh)

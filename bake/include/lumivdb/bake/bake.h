@@ -53,11 +53,11 @@ struct BakeResult {
 };
 
 /// The spacing a bake uses when none is given: the longest side of the scene's box / 20, rounded
-/// down to 1, 2 or 5 × 10^k. 0.1 for an empty box.
+/// down to 1, 2 or 5 × 10^k, kMinSpacing at least. 0.1 for an empty box.
 double defaultSpacing(const Box3d& sceneBounds);
 
 /// Bakes a uniform volume. Samples lie on the lattice of latticeTransform(spacing), so the volume
-/// covers the bounds, grown to whole cells. A sample within 1e-3 spacing of a surface is moved off
+/// covers the bounds, grown to whole cells. A sample within 5e-4 spacing of a surface is moved off
 /// it, to the side that sees fewer back faces, then to the one from which fewer rays escape. Same
 /// inputs, same bits, for any thread count and for any split of the bounds.
 /// @throws Error(Usage) for bad options or more than 2³¹ samples; Error(Interrupted).
