@@ -6,10 +6,11 @@
 set -euo pipefail
 
 # zlib1g-dev and openimageio-tools: what OpenVDB's and OpenImageIO's CMake files ask for.
+# fonts-dejavu-core: the numbers in pictures.
 packages=(g++ cmake ninja-build ccache pkg-config
     libopenvdb-dev libboost-dev libboost-iostreams-dev libblosc-dev zlib1g-dev libimath-dev libtbb-dev
     libembree-dev libopenimageio-dev openimageio-tools libtinygltf-dev libassimp-dev
-    libcli11-dev nlohmann-json3-dev catch2 python3 python3-openvdb python3-numpy)
+    libcli11-dev nlohmann-json3-dev catch2 python3 python3-openvdb python3-numpy fonts-dejavu-core)
 for group in "$@"; do
     case "$group" in
         tests) packages+=(blender) ;;

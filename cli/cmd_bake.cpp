@@ -207,7 +207,8 @@ void BakeCommand::run(const Arguments& arguments)
     validateLightTransport(mBake.probe.contribution, mBake.probe.maxBounces);
     const BakeOptions options = bakeOptions(arguments);
     mOutput.check();
-    mCommon.apply();
+    checkIsNoneOf(mOutput.path, "-o", {mScene.path});
+    mCommon.apply({mScene.path, mOutput.path});
     BakeSeconds seconds;
     Stopwatch watch;
     const auto scene = mScene.load(mCommon.console);

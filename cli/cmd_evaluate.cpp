@@ -185,7 +185,7 @@ void EvaluateCommand::run(const Arguments& arguments)
     if (!mPointsFile.empty() && arguments.given("--points")) {
         failUsage("--points and --points-file exclude each other; give one.");
     }
-    mCommon.apply();
+    mCommon.apply({mVolume, mScene.path, mPointsFile});
     const IrradianceVolume volume = loadYUp();
     throwIfInterrupted();
     followVolume(arguments, volume.metadata());

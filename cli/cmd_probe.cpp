@@ -195,7 +195,7 @@ void ProbeCommand::print(const std::vector<Vec3d>& points, const std::vector<Pro
 void ProbeCommand::run(const Arguments& arguments)
 {
     validate(arguments);
-    mCommon.apply();
+    mCommon.apply({mScene.path});
     const PointList points = readPoints(mPoints);
     const auto scene = mScene.load(mCommon.console);
     if (mGradients == GradientMethod::Central) {

@@ -89,7 +89,7 @@ std::vector<double> QueryCommand::row(const VolumeSampler& sampler, const PointL
 
 void QueryCommand::run(const Arguments&)
 {
-    mCommon.apply();
+    mCommon.apply({mVolume});
     const PointList points = readPoints(mPoints);
     const IrradianceVolume volume = loadVolume(mVolume);
     throwIfInterrupted();

@@ -13,7 +13,6 @@
 #include <nlohmann/json.hpp>
 
 #include <cmath>
-#include <filesystem>
 #include <limits>
 
 namespace lumivdb::cli {
@@ -80,7 +79,7 @@ void RenderCommand::declareView(Arguments& arguments)
         "white test spheres in a row across the view, lit by the volume");
     arguments.integer("--samples", mPicture.samplesPerPixel, between(1, 4096), "rays a pixel");
     arguments.real("--exposure", mExposure, between(-64, 64), "stops, for PNG",
-        "automatic, the 95th percentile of luminance becomes 0.8");
+        "automatic, the 95th percentile of luminance over pixels that are not black becomes 0.8");
     declareMode(arguments, mMode);
 }
 
@@ -131,10 +130,7 @@ void RenderCommand::validate(const Arguments& arguments) const
     if (mPicture.eye && *mPicture.eye == *mPicture.target) {
         failUsage("--eye and --target are the same point; move one.");
     }
-    const std::string extension = std::filesystem::path(mOutput).extension().string();
-    if (extension != ".png" && extension != ".exr") {
-        failValue("-o", mOutput, "not a .png or .exr file name");
-    }
+    checkImagePath(mOutput);
 }
 
 void RenderCommand::renderScene(const IrradianceVolume& volume)
@@ -186,7 +182,8 @@ void RenderCommand::run(const Arguments& arguments)
 {
     validate(arguments);
     checkReplaceable(mOutput, "-o");
-    mCommon.apply();
+    checkIsNoneOf(mOutput, "-o", {mScene.path, mVolume});
+    mCommon.apply({mScene.path, mVolume, mOutput});
     const IrradianceVolume volume = loadVolume(mVolume);
     throwIfInterrupted();
     if (mSlice) {

@@ -287,7 +287,7 @@ void ResampleCommand::run(const Arguments& arguments)
 {
     validate(arguments);
     mOutput.check();
-    mCommon.apply();
+    mCommon.apply({mOutput.path});
     const IrradianceVolume input = loadInput();
     throwIfInterrupted();
     ProgressBar progress(mCommon.console.progressStyle());

@@ -228,7 +228,7 @@ void StatsCommand::declare(Arguments& arguments)
 
 void StatsCommand::run(const Arguments&)
 {
-    mCommon.apply();
+    mCommon.apply({mVolume});
     const VolumeStatistics statistics = computeStatistics(mVolume);
     if (!mCommon.json.empty()) {
         mCommon.writeJson(statisticsJson(statistics));

@@ -55,10 +55,11 @@ void CommonOptions::declareQuiet(Arguments& arguments)
     arguments.neutral();
 }
 
-void CommonOptions::apply()
+void CommonOptions::apply(const std::vector<std::string>& files)
 {
     console.setQuiet(mQuiet);
     if (!json.empty()) checkWritable(json, "--json");
+    checkIsNoneOf(json, "--json", files);
     if (threads > 0) {
         mLimit = std::make_unique<tbb::global_control>(
             tbb::global_control::max_allowed_parallelism, static_cast<std::size_t>(threads));

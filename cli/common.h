@@ -61,8 +61,9 @@ public:
     void declareThreads(Arguments& arguments);
     void declareJson(Arguments& arguments, const std::string& help);
     void declareQuiet(Arguments& arguments);
-    /// Applies them: limits TBB to --threads, checks that --json can be written.
-    void apply();
+    /// Applies them: limits TBB to --threads, checks that --json can be written and is none of
+    /// @a files, which the command reads or writes.
+    void apply(const std::vector<std::string>& files = {});
     bool jsonToStdout() const { return json == "-"; }
     /// Writes @a report to --json, if it was given. NaN and infinity become null.
     void writeJson(const Json& report) const;

@@ -144,6 +144,8 @@ void checkWritable(const std::string& path, const std::string& option)
     };
     std::error_code failed;
     if (path.empty()) fail("the name is empty; give a file name");
+    struct stat there { };
+    if (::lstat(path.c_str(), &there) != 0 && errno == ENAMETOOLONG) fail(std::strerror(errno));
     if (fs::is_directory(path, failed)) fail("it is a folder; give a file name in it");
     if (isSpecial(path)) {
         if (::access(path.c_str(), W_OK) != 0) fail(std::strerror(errno));
@@ -169,6 +171,22 @@ void checkReplaceable(const std::string& path, const std::string& option)
                 + "): it is a device or pipe; give a file name.");
     }
     checkWritable(path, option);
+}
+
+void checkIsNoneOf(
+    const std::string& path, const std::string& option, const std::vector<std::string>& files)
+{
+    if (path.empty() || path == "-" || isSpecial(path)) return;
+    std::error_code ignored;
+    for (const std::string& file : files) {
+        if (file.empty() || file == "-") continue;
+        const bool same = fs::weakly_canonical(path, ignored) == fs::weakly_canonical(file, ignored)
+            || fs::equivalent(path, file, ignored);
+        if (!same) continue;
+        throw Error(ErrorCode::Usage,
+            option + " '" + path + "': another file of this command has that name, and would be "
+                + "overwritten; choose another name.");
+    }
 }
 
 std::string readText(const std::string& path)

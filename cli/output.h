@@ -5,6 +5,7 @@
 /// Where data goes: standard output, or files that are either whole or absent.
 
 #include <string>
+#include <vector>
 
 namespace lumivdb::cli {
 
@@ -26,6 +27,11 @@ void checkWritable(const std::string& path, const std::string& option);
 /// checkWritable() for files that replace what stands at @a path: "-", devices and pipes are
 /// refused. @throws Error(Usage), Error(Output).
 void checkReplaceable(const std::string& path, const std::string& option);
+
+/// Keeps an output from destroying what the same command reads or writes elsewhere. @a option names
+/// the output in the message. @throws Error(Usage) when @a path is one of @a files.
+void checkIsNoneOf(
+    const std::string& path, const std::string& option, const std::vector<std::string>& files);
 
 /// The whole content of @a path, "-" being standard input. @throws Error(Input).
 std::string readText(const std::string& path);

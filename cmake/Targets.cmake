@@ -8,8 +8,11 @@ target_compile_options(lumivdb_options INTERFACE
   -ffp-contract=off
   $<$<BOOL:${LUMIVDB_WARNINGS_AS_ERRORS}>:-Werror>)
 if(LUMIVDB_SANITIZE)
+  # Without null, alignment and vptr: they more than double the time to compile OpenVDB's templates
+  # (46 s against 20 s for one grid type); AddressSanitizer stops at null pointers too.
   target_compile_options(lumivdb_options INTERFACE
-    -fsanitize=address,undefined -fno-sanitize-recover=undefined -fno-omit-frame-pointer)
+    -fsanitize=address,undefined -fno-sanitize=null,alignment,vptr
+    -fno-sanitize-recover=undefined -fno-omit-frame-pointer)
   target_link_options(lumivdb_options INTERFACE -fsanitize=address,undefined)
 endif()
 

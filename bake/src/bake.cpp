@@ -111,7 +111,7 @@ public:
     }
     const Vec3d& place() const { return mPlace; }
     /// Whether it looks like the wrong side: a place inside sees none or a few odd ones.
-    bool isDoubtful() const { return mSeen.backFaces > 0.125; }
+    bool isDoubtful() const { return mSeen.backFaces > 0.03; }
 
 private:
     const Tracer& mTracer;

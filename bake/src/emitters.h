@@ -14,8 +14,8 @@ namespace lumivdb {
 
 /// A direction in which light may arrive, drawn by EmitterTable::sample().
 struct EmitterSample {
-    Vec3f direction; ///< unit, away from the reference point
-    Vec3f target; ///< end of the shadow ray; used when not infinite
+    Vec3f direction{0, 0, 0}; ///< unit, away from the reference point
+    Vec3f target{0, 0, 0}; ///< end of the shadow ray; used when not infinite
     bool infinite = false;
     Color radiance{0, 0, 0};
     double pdf = 0; ///< per steradian, choice of the emitter included; 0: nothing

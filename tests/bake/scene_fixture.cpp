@@ -27,6 +27,22 @@ void appendWord(std::string& out, std::size_t value)
     for (int shift = 0; shift < 32; shift += 8) out += static_cast<char>((value >> shift) & 255);
 }
 
+std::string encode(
+    const std::string& name, const OIIO::ImageSpec& spec, OIIO::TypeDesc format, const void* pixels)
+{
+    const TempFolder folder;
+    const std::string path = folder.path(name);
+    const auto output = OIIO::ImageOutput::create(path);
+    if (!output || !output->open(path, spec) || !output->write_image(format, pixels)
+        || !output->close()) {
+        throw std::runtime_error("cannot write " + name);
+    }
+    std::ifstream file(fs::u8path(path), std::ios::binary);
+    std::ostringstream bytes;
+    bytes << file.rdbuf();
+    return bytes.str();
+}
+
 } // namespace
 
 const std::vector<float> kTriangle = {0, 0, 0, 1, 0, 0, 0, 1, 0};
@@ -79,19 +95,17 @@ std::string base64(const std::string& bytes)
 
 std::string png(int width, int height, int channels, const std::vector<std::uint8_t>& pixels)
 {
-    const TempFolder folder;
-    const std::string path = folder.path("image.png");
     OIIO::ImageSpec spec(width, height, channels, OIIO::TypeDesc::UINT8);
     spec["oiio:UnassociatedAlpha"] = 1;
-    const auto output = OIIO::ImageOutput::create(path);
-    if (!output || !output->open(path, spec)
-        || !output->write_image(OIIO::TypeDesc::UINT8, pixels.data()) || !output->close()) {
-        throw std::runtime_error("cannot write a PNG");
-    }
-    std::ifstream file(fs::u8path(path), std::ios::binary);
-    std::ostringstream bytes;
-    bytes << file.rdbuf();
-    return bytes.str();
+    return encode("image.png", spec, OIIO::TypeDesc::UINT8, pixels.data());
+}
+
+std::string encodeImage(
+    const std::string& extension, int width, int height, const std::vector<float>& pixels)
+{
+    const auto stored = extension == "exr" ? OIIO::TypeDesc::FLOAT : OIIO::TypeDesc::UINT16;
+    const OIIO::ImageSpec spec(width, height, 3, stored);
+    return encode("image." + extension, spec, OIIO::TypeDesc::FLOAT, pixels.data());
 }
 
 int GltfBuilder::view(const std::string& bytes, int stride)

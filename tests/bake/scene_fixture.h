@@ -31,6 +31,10 @@ std::string base64(const std::string& bytes);
 /// PNG bytes of 8-bit pixels.
 std::string png(int width, int height, int channels, const std::vector<std::uint8_t>& pixels);
 
+/// Bytes of an image of 16-bit (png) or float (exr) RGB pixels given as floats.
+std::string encodeImage(
+    const std::string& extension, int width, int height, const std::vector<float>& pixels);
+
 template <typename T> std::string bytesOf(const std::vector<T>& values)
 {
     return {reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T)};

@@ -41,6 +41,32 @@ TEST_CASE("scene: a node chain multiplies in double precision", "[scene]")
     for (int i = 0; i < 3; ++i) CHECK((p[i] - expected[i]).length() < 1e-9);
 }
 
+TEST_CASE("scene: rotations about every axis", "[scene]")
+{
+    // Quarter turns, right-handed: about Z x → y; about X y → z; about Y z → x (so x → −z). The
+    // last one turns by 120° about (1,1,1): x → y → z → x. It is also given with length 2.
+    const struct {
+        const char* rotation;
+        Vec3d x, y;
+    } cases[] = {
+        {"0,0,0.7071067811865476,0.7071067811865476", {0, 1, 0}, {-1, 0, 0}},
+        {"0.7071067811865476,0,0,0.7071067811865476", {1, 0, 0}, {0, 0, 1}},
+        {"0,0.7071067811865476,0,0.7071067811865476", {0, 0, -1}, {0, 1, 0}},
+        {"0.5,0.5,0.5,0.5", {0, 1, 0}, {0, 0, 1}},
+        {"1,1,1,1", {0, 1, 0}, {0, 0, 1}},
+    };
+    for (const auto& c : cases) {
+        const TempFolder folder;
+        GltfBuilder b;
+        const Scene scene = load(folder,
+            triangleGltf(b, "", "", std::string(R"("mesh":0,"rotation":[)") + c.rotation + "]"));
+        INFO(c.rotation);
+        REQUIRE(scene.triangleCount() == 1);
+        CHECK((scene.meshes[0].positions[1] - c.x).length() < 1e-15);
+        CHECK((scene.meshes[0].positions[2] - c.y).length() < 1e-15);
+    }
+}
+
 TEST_CASE("scene: a matrix is column-major", "[scene]")
 {
     const TempFolder folder;

@@ -6,6 +6,7 @@
 
 #include <catch2/catch.hpp>
 
+#include <algorithm>
 #include <cmath>
 #include <functional>
 
@@ -192,6 +193,41 @@ TEST_CASE("scene: grey and grey-alpha images", "[scene]")
     CHECK(alpha.textures[0].pixels[3] == Approx(0.2));
 }
 
+TEST_CASE("scene: 16-bit images are sRGB, floating-point images are linear", "[scene]")
+{
+    const TempFolder folder;
+    folder.write("deep.png", encodeImage("png", 1, 1, {0.5f, 0.25f, 1.0f}));
+    folder.write(
+        "hot.exr", encodeImage("exr", 2, 1, {0.5f, 3.0f, 1.0f, std::nanf(""), -1.0f, 0.0f}));
+    const auto make = [&](const std::string& image) {
+        GltfBuilder b;
+        b.vec2({0, 0, 1, 0, 0, 1});
+        return load(folder,
+            triangleGltf(b, R"(attributes:"TEXCOORD_0":0|"material":0)",
+                R"("materials":[{"name":"m","emissiveFactor":[1,1,1],"emissiveTexture":{"index":0},
+                "pbrMetallicRoughness":{"metallicFactor":0,"baseColorTexture":{"index":0}}}],)"
+                    + textures(R"("uri":")" + image + "\"")));
+    };
+    // ((0.5 + 0.055) / 1.055)^2.4 = 0.214041, ((0.25 + 0.055) / 1.055)^2.4 = 0.050876.
+    const Scene deep = make("deep.png");
+    REQUIRE(deep.textures.size() == 1);
+    CHECK(deep.textures[0].pixels[0] == Approx(0.214041).margin(2e-5));
+    CHECK(deep.textures[0].pixels[1] == Approx(0.050876).margin(2e-5));
+    CHECK(deep.textures[0].pixels[2] == Approx(1.0));
+
+    // Emission may be above 1; for the base colour a clamped copy is made.
+    const Scene hot = make("hot.exr");
+    REQUIRE(hot.textures.size() == 2);
+    const Material& m = hot.materials[0];
+    REQUIRE(m.emissionTexture.texture != m.baseColorTexture.texture);
+    const auto& emission = hot.textures[static_cast<std::size_t>(m.emissionTexture.texture)].pixels;
+    const auto& base = hot.textures[static_cast<std::size_t>(m.baseColorTexture.texture)].pixels;
+    CHECK(emission == std::vector<float>{0.5f, 3.0f, 1.0f, 1, 0, 0, 0, 1});
+    CHECK(base == std::vector<float>{0.5f, 1.0f, 1.0f, 1, 0, 0, 0, 1});
+    CHECK(countWarnings(hot, "textures above 1 are clamped to 1: m.") == 1);
+    CHECK(countWarnings(hot, "NaN, infinite or negative texels are taken as 0: hot.exr.") == 1);
+}
+
 TEST_CASE("scene: samplers, UV sets and texture transforms", "[scene]")
 {
     const std::string image = R"("uri":")" + dataUri(png(1, 1, 3, {255, 255, 255})) + "\"";
@@ -256,7 +292,7 @@ TEST_CASE("scene: NaN in texture coordinates becomes 0 with a warning", "[scene]
     REQUIRE(scene.meshes.size() == 1);
     CHECK(scene.meshes[0].uv[0][0] == Vec2f(0, 0));
     CHECK(scene.meshes[0].uv[0][2] == Vec2f(0, 1));
-    CHECK(countWarnings(scene, "not finite become 0") == 1);
+    CHECK(countWarnings(scene, "not finite become 0: mesh 'tri' primitive 0.") == 1);
 }
 
 TEST_CASE("texture: look-ups filter linear values", "[scene]")
@@ -396,6 +432,7 @@ TEST_CASE("scene: the content hash sees everything that affects light", "[scene]
         [](Scene& s) { s.materials[0].baseColor.y = 0.5f; },
         [](Scene& s) { s.materials[0].emission.z = 0.5f; },
         [](Scene& s) { s.materials[0].doubleSided = true; },
+        [](Scene& s) { s.materials[0].emitsFrontOnly = true; },
         [](Scene& s) { s.materials[0].alphaMask = true; },
         [](Scene& s) { s.materials[0].alphaCutoff = 0.1f; },
         [](Scene& s) { s.materials[0].alphaFactor = 0.1f; },

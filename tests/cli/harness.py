@@ -60,10 +60,14 @@ class CliCase(unittest.TestCase):
 
     @classmethod
     def bake_furnace(cls, name, *options):
-        """A volume of the furnace sample (L = 2 everywhere) in the class's folder, -> its path."""
+        """A volume of the furnace sample (L = 2 everywhere) in the class's folder, -> its path.
+
+        Its noise: a path that survives a reflection with probability 1/2 has a variance of
+        (1/2) / (1/2)^2 = 2, so over 4096 directions the standard error of L is 1.1%, of E 1.8%.
+        """
         path = cls.folder / name
         code, _, err = run("bake", SAMPLES / "furnace.glb", "-o", path, "--spacing", "0.25",
-                           "--bounds", "-0.5,-0.5,-0.5,0.5,0.5,0.5", "--rays", "64", "--quiet",
+                           "--bounds", "-0.5,-0.5,-0.5,0.5,0.5,0.5", "--rays", "4096", "--quiet",
                            *options)
         if code != 0:
             raise AssertionError(f"bake of the furnace gave {code}: {err}")

@@ -170,31 +170,31 @@ TEST_CASE("values that the file cannot hold are refused before anything is writt
     const TempFolder folder;
     const std::string path = folder.file("a.vdb");
     IrradianceVolume volume = uniformVolume({-1, 0, 0}, {2, 2, 2}, 2, true);
-    SaveOptions half;
-    half.half = true;
+    SaveOptions asHalf;
+    asHalf.half = true;
     const auto sample = static_cast<SampleId>(volume.findSample({-1, 2, 1}));
 
     volume.gradient(sample)[4 + 2].y = -65505.0f; // axis y, coefficient 2
-    const std::string overflow = saveMessage(volume, path, half);
+    const std::string overflow = saveMessage(volume, path, asHalf);
     CHECK_THAT(overflow, Catch::Contains("'sh_2_dy'") && Catch::Contains("(-1, 2, 1)"));
     CHECK_THAT(overflow, Catch::Contains("65504") && Catch::Contains(path));
     CHECK(saveMessage(volume, path).empty()); // full floats hold it
     fs::remove(path);
 
     volume.gradient(sample)[4 + 2].y = 65504.0f;
-    CHECK(saveMessage(volume, path, half).empty());
+    CHECK(saveMessage(volume, path, asHalf).empty());
     CHECK(loadVolume(path).gradient(sample)[4 + 2].y == 65504.0f);
     fs::remove(path);
 
     volume.distance(sample) = 1e9f; // stays a full float
-    CHECK(saveMessage(volume, path, half).empty());
+    CHECK(saveMessage(volume, path, asHalf).empty());
     CHECK(loadVolume(path).distance(sample) == 1e9f);
     fs::remove(path);
 
     for (const float bad : {std::nanf(""), std::numeric_limits<float>::infinity()}) {
         volume.radiance(sample)[3].z = bad;
         CHECK_THAT(saveMessage(volume, path), Catch::Contains("'sh_3'"));
-        CHECK_THAT(saveMessage(volume, path, half), Catch::Contains("NaN or infinite"));
+        CHECK_THAT(saveMessage(volume, path, asHalf), Catch::Contains("NaN or infinite"));
     }
     volume.radiance(sample)[3].z = 0.0f;
     volume.validity(sample) = std::nanf("");

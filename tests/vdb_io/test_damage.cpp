@@ -75,7 +75,7 @@ TEST_CASE("every flipped bit is noticed")
         const char old = bytes[i];
         bytes[i] = static_cast<char>(old ^ (1 << (rng.bits() % 8)));
         writeBytes(flipped, bytes);
-        if (tryLoad(flipped) == Outcome::Loaded) ++loaded, CAPTURE(i), CHECK(false);
+        loaded += tryLoad(flipped) == Outcome::Loaded;
         bytes[i] = old;
         ++tried;
     }

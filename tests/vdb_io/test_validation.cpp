@@ -193,10 +193,6 @@ std::vector<Case> levelCases()
             [](Grids& g) {
                 levels(g).tree().setValueOn({1, 1, 1}, 1);
             }},
-        {"lone sample inside", "valid volume",
-            [](Grids& g) {
-                levels(g).tree().setValueOn({1, 1, 1}, -1);
-            }},
         {"cell where a sample was", "valid volume",
             [](Grids& g) {
                 levels(g).tree().setValueOn({4, 4, 4}, 0);
@@ -213,7 +209,8 @@ std::vector<Case> levelCases()
             [everywhere](Grids& g) { everywhere(g, [](openvdb::GridBase& b) { b.clear(); }); }},
         {"shear", "transform",
             [everywhere](Grids& g) {
-                const openvdb::Mat4R m(1, 0, 0, 0, 0.5, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1);
+                openvdb::Mat4R m = openvdb::Mat4R::identity();
+                m(1, 0) = 0.5;
                 everywhere(g, [&m](openvdb::GridBase& b) {
                     b.setTransform(openvdb::math::Transform::createLinearTransform(m));
                 });
@@ -242,7 +239,7 @@ TEST_CASE("broken channels, metadata and levels are refused by name")
             ++cases;
         }
     }
-    CHECK(cases == 35);
+    CHECK(cases == 34);
 }
 
 TEST_CASE("a level jump of two is refused")

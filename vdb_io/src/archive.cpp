@@ -2,12 +2,14 @@
 #include "archive.h"
 
 #include "footer.h"
+#include "length_check.h"
 
 #include <lumivdb/core/error.h>
 #include <lumivdb/core/random.h>
 
 #include <openvdb/io/Compression.h>
 
+#include <filesystem>
 #include <fstream>
 #include <new>
 
@@ -115,22 +117,28 @@ void VdbWriter::finish()
 
 namespace {
 
+using Wants = std::function<GridUse(const std::string&)>;
+using Take = std::function<void(openvdb::GridBase::Ptr)>;
+
 class VdbReader : private io::Archive {
 public:
-    explicit VdbReader(std::istream& stream);
+    VdbReader(std::istream& stream, std::uint64_t fileSize);
     ~VdbReader() override { io::clearStreamMetadataPtr(mStream); }
     int gridCount() const { return mGridCount; }
-    void next(const std::string& path, const std::function<GridUse(const std::string&)>& wants,
-        const std::function<void(openvdb::GridBase::Ptr)>& take);
+    void next(const std::string& path, const Wants& wants, const Take& take);
 
 private:
+    void readTree(openvdb::GridBase& grid, bool hasTree);
+
     std::istream& mStream;
+    std::uint64_t mFileSize;
     io::StreamMetadata::Ptr mMetadata; // the stream points to this pointer
     int mGridCount = 0;
 };
 
-VdbReader::VdbReader(std::istream& stream)
+VdbReader::VdbReader(std::istream& stream, std::uint64_t fileSize)
     : mStream(stream)
+    , mFileSize(fileSize)
     , mMetadata(std::make_shared<io::StreamMetadata>())
 {
     readHeader(mStream);
@@ -138,18 +146,39 @@ VdbReader::VdbReader(std::istream& stream)
     io::setVersion(mStream, libraryVersion(), fileVersion());
     io::setDataCompression(mStream, compression());
     openvdb::MetaMap fileMetadata;
+    checkMetadata(mStream, mFileSize);
     fileMetadata.readMeta(mStream);
     mGridCount = readGridCount(mStream);
     if (mGridCount < 0 || mGridCount > 100000)
         throw std::runtime_error("impossible number of grids");
 }
 
-void VdbReader::next(const std::string& path,
-    const std::function<GridUse(const std::string&)>& wants,
-    const std::function<void(openvdb::GridBase::Ptr)>& take)
+/// What Archive::readGrid() does, with a look ahead at every length.
+void VdbReader::readTree(openvdb::GridBase& grid, bool hasTree)
+{
+    readGridCompression(mStream);
+    mMetadata->setHalfFloat(grid.saveFloatAsHalf());
+    io::setGridClass(mStream, openvdb::GRID_UNKNOWN);
+    io::setGridBackgroundValuePtr(mStream, nullptr);
+    checkMetadata(mStream, mFileSize);
+    grid.readMeta(mStream);
+    mMetadata->gridMetadata() = static_cast<const openvdb::MetaMap&>(grid);
+    io::setGridClass(mStream, grid.getGridClass());
+    mMetadata->setLeaf(0);
+    grid.removeMeta(openvdb::GridBase::META_FILE_DELAYED_LOAD);
+    checkStrings(mStream, mFileSize, 1);
+    grid.readTransform(mStream);
+    if (!hasTree) return;
+    checkBufferCount(mStream);
+    grid.readTopology(mStream);
+    grid.readBuffers(mStream);
+}
+
+void VdbReader::next(const std::string& path, const Wants& wants, const Take& take)
 {
     io::GridDescriptor descriptor;
-    openvdb::GridBase::Ptr grid = descriptor.read(mStream);
+    checkStrings(mStream, mFileSize, 3);
+    const openvdb::GridBase::Ptr grid = descriptor.read(mStream);
     const std::string name = descriptor.gridName();
     const bool skip = wants(name) == GridUse::Skip;
     if (skip && inputHasGridOffsets()) {
@@ -163,7 +192,7 @@ void VdbReader::next(const std::string& path,
             "Grid '" + name + "' of '" + path
                 + "' shares the tree of another grid; save every channel with its own tree.");
     }
-    readGrid(grid, descriptor, mStream);
+    readTree(*grid, !descriptor.isInstance());
     if (skip) return;
     grid->setName(name);
     take(grid);
@@ -177,12 +206,12 @@ void readVdb(const std::string& path, const std::function<GridUse(const std::str
     openvdb::initialize();
     try {
         verifyFile(path);
-        std::vector<char> buffer(std::size_t{1} << 20); // outlives the stream that uses it
+        std::vector<char> buffer(std::size_t{1} << 16); // outlives the stream that uses it
         std::ifstream stream;
         stream.rdbuf()->pubsetbuf(buffer.data(), static_cast<std::streamsize>(buffer.size()));
         stream.exceptions(std::ios::badbit | std::ios::failbit);
         stream.open(path, std::ios::binary);
-        VdbReader reader(stream);
+        VdbReader reader(stream, std::filesystem::file_size(path));
         for (int i = 0; i < reader.gridCount(); ++i) reader.next(path, wants, take);
     } catch (const Error&) {
         throw;

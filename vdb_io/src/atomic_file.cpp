@@ -21,15 +21,17 @@ namespace fs = std::filesystem;
 namespace {
 
 /// Where @a path leads after following symbolic links, also one whose target does not exist yet.
-fs::path followLinks(fs::path path)
+fs::path followLinks(const std::string& name)
 {
+    fs::path path = name;
     std::error_code ec;
-    for (int hops = 0; hops < 40 && fs::is_symlink(fs::symlink_status(path, ec)); ++hops) {
+    for (int hops = 0; hops < 40; ++hops) {
+        if (!fs::is_symlink(fs::symlink_status(path, ec))) return path;
         const fs::path to = fs::read_symlink(path, ec);
-        if (ec) break;
         path = to.is_absolute() ? to : path.parent_path() / to;
     }
-    return path;
+    throw Error(ErrorCode::Output,
+        "Cannot write '" + name + "': its symbolic links go in circles; name a file instead.");
 }
 
 std::string temporaryName(const std::string& folder)

@@ -65,6 +65,10 @@ private:
 
 IrradianceVolume cropVolume(const IrradianceVolume& volume, const Box3d& box)
 {
+    for (int a = 0; a < 3; ++a) {
+        if (!(box.min[a] <= box.max[a])) // also NaN
+            throw Error(ErrorCode::Usage, "The crop box is empty; give its lower corner first.");
+    }
     const CellOverlap overlap(volume, box);
     VolumeBuilder builder(volume.bands(), gradientStorage(volume), volume.indexToWorld());
     std::size_t kept = 0;

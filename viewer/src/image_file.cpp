@@ -145,12 +145,12 @@ double automaticExposure(const Image& image)
     values.reserve(image.pixels.size());
     for (const Color& pixel : image.pixels) {
         const float y = luminance(pixel);
-        if (std::isfinite(y)) values.push_back(y);
+        if (y > 0 && std::isfinite(y)) values.push_back(y);
     }
     if (values.empty()) return 1;
     const auto p95 = values.begin() + std::ptrdiff_t(0.95 * double(values.size() - 1));
     std::nth_element(values.begin(), p95, values.end());
-    return *p95 > 0 ? kExposed / double(*p95) : 1;
+    return kExposed / double(*p95);
 }
 
 void writeImage(const Image& image, const std::string& path, double exposureStops)

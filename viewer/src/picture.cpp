@@ -32,12 +32,11 @@ struct Stage {
     const VolumeSampler& sampler;
     View view;
     std::vector<Sphere> spheres;
-    double offset; ///< world units off the surface at which the volume is asked
+    double offset; ///< world units off a surface of the scene at which the volume is asked
 
     Color reflected(const Vec3d& p, const Vec3f& n, const Color& albedo) const
     {
-        const Vec3d off = p + Vec3d(n.x, n.y, n.z) * offset;
-        const Color E = sampler.irradiance(off, n);
+        const Color E = sampler.irradiance(p, n);
         Color out(0);
         for (int c = 0; c < 3; ++c)
             if (E[c] > 0) out[c] = albedo[c] * kInvPi * E[c]; // false for NaN: outside the volume
@@ -68,7 +67,8 @@ struct Stage {
         }
         if (!h.hit) return background(direction);
         const Vec3f n = h.backFace ? -h.normal : h.normal;
-        return h.emission + reflected(h.position, n, h.albedo);
+        const Vec3d off = h.position + Vec3d(n.x, n.y, n.z) * offset;
+        return h.emission + reflected(off, n, h.albedo);
     }
 };
 

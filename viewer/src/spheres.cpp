@@ -87,9 +87,10 @@ std::vector<Sphere> placeSpheres(
     double bestScore = 0;
     if (count == 0) return best;
     const double full = count * std::min(0.04, 0.32 / count);
-    // A little below the middle first, off the vanishing point of most views.
-    for (double t : {0.58, 0.7, 0.42, 0.3}) {
-        for (double factor : {1.0, 0.85, 0.7, 0.55, 0.45, 0.35, 0.25, 0.15, 1.15, 1.3}) {
+    constexpr double kGood = 0.75; // good enough to stay near the focus
+    for (double factor : {1.0, 0.85, 0.7, 0.55, 0.45, 0.35, 0.25, 0.15, 1.15, 1.3}) {
+        // A little below the middle first, off the vanishing point of most views.
+        for (double t : {0.58, 0.7, 0.42, 0.3}) {
             const Line line{view, view.focus * factor, t};
             std::vector<Sphere> row = rowOn(tracer, sampler, line, count);
             if (row.empty()) continue;
@@ -98,7 +99,7 @@ std::vector<Sphere> placeSpheres(
             if (score <= 1.001 * bestScore) continue;
             bestScore = score;
             best = std::move(row);
-            if (bestScore >= 0.999 * full) return best;
+            if (bestScore >= kGood * full) return best;
         }
     }
     return best;

@@ -222,7 +222,7 @@ View fromSceneCamera(const Tracer& tracer, const Camera& camera, double yfov, do
     const Box3d box = tracer.scene().bounds();
     const double toCentre = box.isEmpty() ? 1.0 : (box.center() - eye).dot(view.forward);
     view.focus = toCentre > 0 ? toCentre : 1.0;
-    if (h.hit) view.focus = std::min(view.focus, 0.7 * h.distance);
+    if (h.hit) view.focus = std::min(view.focus, 0.95 * h.distance);
     return view;
 }
 

@@ -6,7 +6,7 @@
 
 #include <lumivdb/core/volume.h>
 
-#include <openvdb/openvdb.h>
+#include <lumivdb/core/openvdb_instances.h>
 
 namespace lumivdb {
 

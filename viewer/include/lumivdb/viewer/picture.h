@@ -34,20 +34,21 @@ struct PictureOptions {
 /// The scene seen by a camera; every surface shows emission + albedo/π · max(0, E(volume)), the
 /// background the environment. Points outside the volume are drawn with no reflected light.
 ///
-/// The volume is asked kQueryOffset spacings off the surface, on the side that is seen: a wall may
-/// lie exactly in a lattice plane, where two cells, one on each side of it, would answer.
-/// The spheres have albedo 0.8, their radius is 4% of the width of the view where they are, less
-/// where only a part of the view has room; those that would touch geometry, hide behind it or leave
-/// the volume are left out. They receive light
-/// from the volume and cast none back.
-/// Same inputs, same bits, for any number of threads.
+/// The volume is asked kQueryOffset spacings off the surface, on the side that is seen (a "normal
+/// bias"): a wall may lie exactly in a lattice plane, where two cells, one on each side of it,
+/// would answer, and samples behind a wall would shade it from the dark inside of a box or from
+/// outdoors. The price is light that is blurred over that distance. The spheres have albedo 0.8,
+/// their radius is 4% of the width of the view where they are, less where only a part of the view
+/// has room; those that would touch geometry, hide behind it or leave the volume are left out. They
+/// receive light from the volume and cast none back. Same inputs, same bits, for any number of
+/// threads.
 /// @throws Error(Usage) for bad options or a scene and volume that give nothing to look at;
 /// Error(Interrupted).
 Image renderPicture(const Tracer& tracer, const IrradianceVolume& volume,
     const PictureOptions& options, Progress* progress = nullptr);
 
 /// Distance off a surface at which renderPicture() asks the volume, in units of its spacing.
-constexpr double kQueryOffset = 0.01;
+constexpr double kQueryOffset = 0.5;
 /// Reflectance of the test spheres.
 constexpr float kSphereAlbedo = 0.8f;
 
@@ -94,8 +95,9 @@ void writeImage(const Image& image, const std::string& path, double exposureStop
 /// The same without exposure or conversion, for images that are display colours already.
 void writeDisplayImage(const Image& image, const std::string& path);
 
-/// The factor writeImage() uses for @a exposureStops of NaN: 0.8 over the 95th percentile of
-/// luminance (pixels that are not finite left out), 1 where that is 0.
+/// The factor writeImage() uses for @a exposureStops of NaN: 0.8 over the 95th percentile of the
+/// luminance of pixels that are neither black (an empty background) nor infinite nor NaN; 1 where
+/// there are none.
 double automaticExposure(const Image& image);
 
 } // namespace lumivdb
