@@ -11,27 +11,27 @@ int EmitterTable::add(const Triangle& triangle)
     return static_cast<int>(mTriangles.size()) - 1;
 }
 
-void EmitterTable::finish(std::shared_ptr<const Environment> environment, double radius)
+void EmitterTable::finish(std::shared_ptr<const Environment> environment)
 {
-    constexpr double kPi = 3.14159265358979323846;
     mEnvironment = std::move(environment);
-    // A sphere of the scene's radius catches π r² ∫ L dω; a triangle gives π A L to each side.
-    const double environmentPower
-        = mEnvironment ? mEnvironment->power() * kPi * radius * radius : 0.0;
-    double total = environmentPower;
-    for (const Triangle& t : mTriangles) total += t.power;
+    const bool environmentLit = mEnvironment && mEnvironment->power() > 0;
+    double trianglePower = 0;
+    for (const Triangle& t : mTriangles) trianglePower += t.power;
     mCdf.clear();
-    if (!(total > 0)) return;
+    if (!environmentLit && !(trianglePower > 0)) return;
+    // Which of the two lights a place is anyone's guess (a lamp in a closed room under a bright
+    // sky): equal shares bound what a wrong guess costs.
+    mEnvironmentProbability = !environmentLit ? 0 : trianglePower > 0 ? 0.5 : 1;
     double sum = 0;
     for (Triangle& t : mTriangles) {
-        t.probability = t.power / total;
+        t.probability
+            = trianglePower > 0 ? t.power / trianglePower * (1 - mEnvironmentProbability) : 0.0;
         sum += t.probability;
         mCdf.push_back(sum);
     }
-    mEnvironmentProbability = environmentPower / total;
-    mCdf.push_back(environmentPower > 0 ? 1.0 : sum);
+    mCdf.push_back(1.0);
     // Rounding must not leave a gap at the end that nothing owns.
-    if (environmentPower == 0) mCdf[mCdf.size() - 2] = mCdf.back() = 1.0;
+    if (!environmentLit) mCdf[mCdf.size() - 2] = 1.0;
 }
 
 std::size_t EmitterTable::choose(double& t) const

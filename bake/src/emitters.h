@@ -21,7 +21,7 @@ struct EmitterSample {
     double pdf = 0; ///< per steradian, choice of the emitter included; 0: nothing
 };
 
-/// Emissive triangles and the environment, chosen by their power.
+/// Emissive triangles, chosen by their power, and the environment, as likely as all of them.
 class EmitterTable {
 public:
     struct Triangle {
@@ -36,8 +36,7 @@ public:
     };
 
     int add(const Triangle& triangle);
-    /// @a radius of the scene: weighs the environment against the triangles.
-    void finish(std::shared_ptr<const Environment> environment, double radius);
+    void finish(std::shared_ptr<const Environment> environment);
 
     bool empty() const { return mCdf.empty(); }
     std::size_t triangleCount() const { return mTriangles.size(); }

@@ -86,7 +86,7 @@ void PathTracer::trace(const Vec3f& p, const Vec3f* directions, std::uint64_t fi
     intersectCoherent(mImpl, result.rays, result.hits);
     note(result.rays, false);
     result.traced += static_cast<std::uint64_t>(count);
-    startPaths(first, count, key, result);
+    startPaths(p, first, count, key, result);
     if (mOptions.contribution == Contribution::Direct) return;
     for (int bounce = 1; mPathCount > 0; ++bounce) {
         if (mOptions.maxBounces >= 0 && bounce > mOptions.maxBounces) break;
@@ -126,7 +126,7 @@ void PathTracer::sampleEmittersAtProbe(
 }
 
 void PathTracer::startPaths(
-    std::uint64_t first, int count, std::uint64_t key, PathBatchResult& result)
+    const Vec3f& p, std::uint64_t first, int count, std::uint64_t key, PathBatchResult& result)
 {
     const bool direct = mOptions.contribution != Contribution::Indirect;
     const auto weight
@@ -142,8 +142,8 @@ void PathTracer::startPaths(
             continue;
         }
         Path& path = mPaths[mPathCount];
-        path.surface
-            = mImpl.surfaceAt(result.hits.triangle[i], result.hits.u[i], result.hits.v[i], d);
+        path.surface = mImpl.surfaceSeen(
+            p, d, result.hits.triangle[i], result.hits.t[i], result.hits.u[i], result.hits.v[i]);
         const SurfacePoint& s = path.surface;
         result.backFace[i] = s.backFace;
         if (direct && s.emitter >= 0) {
@@ -287,8 +287,8 @@ void PathTracer::scatter(int bounce, PathBatchResult& result)
                 * weight(mImpl.emitters.pdfEnvironment(d));
             continue;
         }
-        const SurfacePoint s
-            = mImpl.surfaceAt(mNextHits.triangle[j], mNextHits.u[j], mNextHits.v[j], d);
+        const SurfacePoint s = mImpl.surfaceSeen(path.surface.leaving(), d, mNextHits.triangle[j],
+            mNextHits.t[j], mNextHits.u[j], mNextHits.v[j]);
         if (s.emitter >= 0) {
             const double pdf
                 = mImpl.emitters.pdfTriangle(s.emitter, mNextHits.t[j], std::abs(s.normal.dot(d)));
@@ -300,15 +300,14 @@ void PathTracer::scatter(int bounce, PathBatchResult& result)
     }
 }
 
-PunctualSample PathTracer::punctual(
-    std::size_t light, const Vec3f& p, const Vec3f& shadowOrigin) const
+PunctualSample PathTracer::punctual(std::size_t light, const Vec3f& p, std::uint64_t& traced) const
 {
     const Light& l = mImpl.scene->lights[light];
     PunctualSample s = samplePunctual(l, mImpl.toLocal(l.position), p);
     if (!(maxComponent(s.irradiance) > 0)) return s;
     RayBatch one;
-    one.push(shadowOrigin, s.infinite ? s.direction : s.target - shadowOrigin,
-        s.infinite ? kInfinity : kShadowEnd);
+    one.push(p, s.infinite ? s.direction : s.target - p, s.infinite ? kInfinity : kShadowEnd);
+    ++traced;
     std::uint8_t occluded = 0;
     occlude(mImpl, one, &occluded);
     if (occluded) s.irradiance = Color(0.0f);

@@ -48,7 +48,8 @@ public:
         std::uint64_t key, PathBatchResult& result);
 
     /// The light number @a light at @a p: irradiance on a surface facing it, 0 where shadowed.
-    PunctualSample punctual(std::size_t light, const Vec3f& p, const Vec3f& shadowOrigin) const;
+    /// Counts its shadow ray in @a traced.
+    PunctualSample punctual(std::size_t light, const Vec3f& p, std::uint64_t& traced) const;
 
     /// Appends every ray traced from now on to @a rays; null ends it.
     void record(std::vector<RecordedRay>* rays) { mRecorder = rays; }
@@ -62,7 +63,8 @@ private:
     };
     void sampleEmittersAtProbe(
         const Vec3f& p, std::uint64_t first, int count, PathBatchResult& result);
-    void startPaths(std::uint64_t first, int count, std::uint64_t key, PathBatchResult& result);
+    void startPaths(
+        const Vec3f& p, std::uint64_t first, int count, std::uint64_t key, PathBatchResult& result);
     void reflectFromEmitters(PathBatchResult& result);
     void reflectFromPunctual(PathBatchResult& result);
     void scatter(int bounce, PathBatchResult& result);

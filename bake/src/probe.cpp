@@ -164,14 +164,15 @@ void traceChunk(const Vec3f& p, const Basis& basis, const std::vector<Vec3f>& di
     }
 }
 
-/// Point, spot and directional lights: one direction each, no noise.
+/// Point, spot and directional lights: one direction each, no noise. Returns the rays traced.
 template <class Basis>
 std::uint64_t addPunctual(const PathTracer& paths, const Tracer::Impl& impl, const Vec3f& p,
     const Basis& basis, std::vector<double>& values)
 {
     std::vector<float> y(static_cast<std::size_t>(basis.count()));
+    std::uint64_t traced = 0;
     for (std::size_t l = 0; l < impl.scene->lights.size(); ++l) {
-        const PunctualSample s = paths.punctual(l, p, p);
+        const PunctualSample s = paths.punctual(l, p, traced);
         if (s.irradiance == Color(0.0f)) continue;
         basis.eval(1, &s.direction.x, &s.direction.y, &s.direction.z, y.data());
         for (std::size_t k = 0; k < y.size(); ++k) {
@@ -181,7 +182,7 @@ std::uint64_t addPunctual(const PathTracer& paths, const Tracer::Impl& impl, con
             }
         }
     }
-    return impl.scene->lights.size();
+    return traced;
 }
 
 } // namespace

@@ -81,7 +81,6 @@ private:
         const Box3d box = mImpl.scene->bounds();
         if (box.isEmpty()) return;
         mImpl.origin = box.center();
-        mImpl.radius = std::max(0.5 * box.size().length(), 1e-30);
     }
 
     void gather(bool masked)
@@ -124,7 +123,7 @@ private:
             e.power = 3.14159265358979 * e.area * (e.doubleSided ? 2 : 1) * meanEmission(t);
             t.emitter = mImpl.emitters.add(e);
         }
-        mImpl.emitters.finish(mImpl.scene->environment, mImpl.radius);
+        mImpl.emitters.finish(mImpl.scene->environment);
     }
 
     /// Mean luminance over a triangle from a few texels, never 0: a weight for choosing, and what
@@ -152,7 +151,8 @@ private:
         mImpl.device = rtcNewDevice("isa=avx2");
         if (!mImpl.device) throw Error(ErrorCode::Input, "Embree cannot start on this machine.");
         mImpl.embree = rtcNewScene(mImpl.device);
-        rtcSetSceneFlags(mImpl.embree, RTC_SCENE_FLAG_ROBUST);
+        rtcSetSceneFlags(
+            mImpl.embree, RTC_SCENE_FLAG_ROBUST | RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION);
         rtcSetSceneBuildQuality(mImpl.embree, RTC_BUILD_QUALITY_HIGH);
         attach(0, 0, mImpl.opaqueCount);
         attach(1, mImpl.opaqueCount, static_cast<std::uint32_t>(mImpl.triangles.size()));
@@ -248,6 +248,7 @@ SurfacePoint Tracer::Impl::surfaceAt(
     s.normal = (b - a).cross(c - a).normalized();
     s.offset = rayOffset(a, b, c);
     s.emitter = t.emitter;
+    s.triangle = triangle;
     const bool behind = s.normal.dot(rayDirection) > 0;
     if (behind) s.normal = -s.normal;
     s.backFace = behind && !material.doubleSided;
@@ -255,6 +256,51 @@ SurfacePoint Tracer::Impl::surfaceAt(
     const bool dark = t.emitter < 0 || s.backFace || (behind && material.emitsFrontOnly);
     s.emission = dark ? Color(0.0f) : emissionAt(t, u, v);
     return s;
+}
+
+namespace {
+
+struct FrontContext {
+    RTCIntersectContext context; // first: Embree hands back a pointer to it
+    const Tracer::Impl* impl;
+};
+
+/// Rejects the backs of single-sided triangles.
+void frontFilter(const RTCFilterFunctionNArguments* args)
+{
+    const Tracer::Impl& impl = *reinterpret_cast<const FrontContext*>(args->context)->impl;
+    for (unsigned i = 0; i < args->N; ++i) {
+        if (args->valid[i] != -1) continue;
+        const auto& t = impl.triangles[impl.triangleOf(
+            RTCHitN_geomID(args->hit, args->N, i), RTCHitN_primID(args->hit, args->N, i))];
+        const Vec3f d(RTCRayN_dir_x(args->ray, args->N, i), RTCRayN_dir_y(args->ray, args->N, i),
+            RTCRayN_dir_z(args->ray, args->N, i));
+        const Vec3f &a = impl.vertices[t.vertex[0]], &b = impl.vertices[t.vertex[1]],
+                    &c = impl.vertices[t.vertex[2]];
+        const bool behind = (b - a).cross(c - a).dot(d) > 0;
+        if (behind && !impl.materialOf(t).doubleSided) args->valid[i] = 0;
+    }
+}
+
+} // namespace
+
+SurfacePoint Tracer::Impl::surfaceSeen(const Vec3f& from, const Vec3f& direction,
+    std::uint32_t triangle, float t, float u, float v) const
+{
+    const SurfacePoint s = surfaceAt(triangle, u, v, direction);
+    if (!s.backFace) return s;
+    const float tolerance = std::max(t * 0x1p-18f, s.offset);
+    FrontContext context;
+    rtcInitIntersectContext(&context.context);
+    context.context.filter = frontFilter;
+    context.impl = this;
+    RTCRayHit r{};
+    r.ray = {from.x, from.y, from.z, std::max(0.0f, t - tolerance), direction.x, direction.y,
+        direction.z, 0, t + tolerance, ~0u, 0, 0};
+    r.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+    rtcIntersect1(embree, &context.context, &r);
+    if (r.hit.geomID == RTC_INVALID_GEOMETRY_ID) return s;
+    return surfaceAt(triangleOf(r.hit.geomID, r.hit.primID), r.hit.u, r.hit.v, direction);
 }
 
 Tracer::Tracer(std::shared_ptr<const Scene> scene, Progress* progress)
@@ -293,9 +339,9 @@ SurfaceHit Tracer::intersect(const Vec3d& origin, const Vec3d& direction) const
 
     SurfaceHit h;
     if (r.hit.geomID == RTC_INVALID_GEOMETRY_ID) return h;
-    const std::uint32_t id = mImpl->triangleOf(r.hit.geomID, r.hit.primID);
-    const SurfacePoint s = mImpl->surfaceAt(id, r.hit.u, r.hit.v, Vec3f(direction));
-    const Impl::Triangle& t = mImpl->triangles[id];
+    const SurfacePoint s = mImpl->surfaceSeen(o, Vec3f(direction),
+        mImpl->triangleOf(r.hit.geomID, r.hit.primID), r.ray.tfar, r.hit.u, r.hit.v);
+    const Impl::Triangle& t = mImpl->triangles[s.triangle];
     h.hit = true;
     h.distance = r.ray.tfar;
     h.position = Vec3d(s.position) + mImpl->origin;

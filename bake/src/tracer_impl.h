@@ -24,6 +24,7 @@ struct SurfacePoint {
     float offset; ///< how far to move off the surface so that a new ray does not meet it again
     bool backFace; ///< the ray met the back of a single-sided surface
     int emitter; ///< index into the emitter table, −1: does not emit
+    std::uint32_t triangle; ///< into Tracer::Impl::triangles
 
     Vec3f leaving() const { return position + normal * offset; }
 };
@@ -31,7 +32,6 @@ struct SurfacePoint {
 struct Tracer::Impl {
     std::shared_ptr<const Scene> scene;
     Vec3d origin{0, 0, 0}; ///< world position of local zero: the middle of the scene
-    double radius = 1; ///< of a sphere around the scene
     double buildSeconds = 0;
 
     RTCDevice device = nullptr;
@@ -67,6 +67,11 @@ struct Tracer::Impl {
     Color albedoAt(const Triangle& t, float u, float v, float* alpha) const;
     /// Emission of the front at barycentrics (u, v).
     Color emissionAt(const Triangle& t, float u, float v) const;
+    /// What a ray met at triangle (u, v), @a t along it. Where that is the back of a single-sided
+    /// surface and a front lies at the same distance (rooms modelled back to back share the plane
+    /// of their wall, and Embree may report either), it is the front.
+    SurfacePoint surfaceSeen(const Vec3f& from, const Vec3f& direction, std::uint32_t triangle,
+        float t, float u, float v) const;
     SurfacePoint surfaceAt(
         std::uint32_t triangle, float u, float v, const Vec3f& rayDirection) const;
 };

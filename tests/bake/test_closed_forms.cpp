@@ -347,3 +347,41 @@ TEST_CASE("the standard error is honest", "[closed][statistics]")
         CHECK(std::sqrt(z2) > 0.1);
     }
 }
+
+TEST_CASE("rooms modelled back to back share a plane: each sees its own wall", "[closed][hard]")
+{
+    // Two closed furnaces of single-sided quads, the wall x = 0 of each in the same plane. Inside
+    // either, L = Le / (1 − rho) = 2 everywhere, and no ray may meet a back face.
+    Scene scene;
+    const int m = addMaterial(scene, Color(0.5f), Color(1.0f), false);
+    addInwardBox(scene, m, {-1.7, -1, -1}, {1.7, 2, 2});
+    addInwardBox(scene, m, {0, -1, -1}, {1.3, 2, 2});
+    Bench bench(scene, withRays(8192));
+    for (const double x : {-0.8, -0.05, 0.05, 0.6}) {
+        const ProbeResult r = bench.sh({x, 0.1, 0.2}, 1);
+        CAPTURE(x);
+        checkEstimate(r.value[0].x, r.stderr_[0].x, 2 * std::sqrt(4 * kPi), 2 * 3.5449);
+        CHECK(r.validity == 1.0f);
+    }
+}
+
+TEST_CASE("a sky that a room cannot see does not spoil its light", "[closed][hard]")
+{
+    // A closed room of 2 m in a scene of 200 m, lit by one quad: adding a bright environment
+    // changes nothing but the choice of emitters, so the noise may grow by about √2, not more.
+    Scene scene;
+    addInwardBox(
+        scene, addMaterial(scene, Color(0.0f), Color(0.0f), false), Vec3d(-1.0), Vec3d(2.0));
+    addQuad(scene, addMaterial(scene, Color(0.0f), Color(5.0f), false), {-0.2, 0.9, -0.2},
+        {0.4, 0, 0}, {0, 0, 0.4});
+    addQuad(scene, 0, {-100, -5, -100}, {0, 0, 200}, {200, 0, 0});
+    const Vec3d p(0.3, -0.2, 0.1);
+    Bench alone(scene, withRays(16384));
+    const ProbeResult dark = alone.irradiance(p, {{0, 1, 0}});
+    scene.environment = Environment::constant(Color(1000.0f));
+    Bench under(scene, withRays(16384));
+    const ProbeResult lit = under.irradiance(p, {{0, 1, 0}});
+    CHECK(std::abs(lit.value[0].x - dark.value[0].x)
+        < 4 * std::hypot(lit.stderr_[0].x, dark.stderr_[0].x));
+    CHECK(lit.stderr_[0].x < 3 * dark.stderr_[0].x);
+}
