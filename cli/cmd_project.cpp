@@ -119,6 +119,7 @@ void ProjectCommand::run(const Arguments&)
     mCommon.apply();
     mOptions.scale = static_cast<float>(mScale);
     std::vector<std::string> warnings;
+    requireFile(mFile);
     const auto environment = Environment::load(mFile, mOptions, warnings);
     mCommon.console.warn(warnings);
     const std::vector<Vec3d> coefficients = environment->projectDouble(mBands);

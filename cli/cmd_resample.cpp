@@ -181,7 +181,9 @@ IrradianceVolume combined(const std::vector<std::string>& files, const Combine& 
     try {
         return combine(pointers);
     } catch (const Error& e) {
-        throw Error(e.code(), std::string(e.what()) + " (Input " + named + ".)");
+        std::string sentence = e.what();
+        while (!sentence.empty() && sentence.back() == '.') sentence.pop_back();
+        throw Error(e.code(), sentence + " (input " + named + ").");
     }
 }
 
@@ -257,7 +259,10 @@ double ResampleCommand::measureError(
 {
     if (!mOutput.options.half) return compareVolumes(input, result, kComparePoints, 1);
     IrradianceVolume stored = result.clone();
+    // It is the scaled light that is rounded: by a small factor, digits or all of it are lost.
+    if (mScale != 0) scaleVolume(stored, mScale);
     roundToHalf(stored);
+    if (mScale != 0) scaleVolume(stored, 1 / mScale);
     return compareVolumes(input, stored, kComparePoints, 1);
 }
 

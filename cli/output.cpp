@@ -211,6 +211,13 @@ std::string readText(const std::string& path)
     }
 }
 
+void requireFile(const std::string& path)
+{
+    std::error_code ignored;
+    const auto status = fs::status(path, ignored);
+    if (fs::exists(status) && !fs::is_regular_file(status)) failInput(path, "it is not a file");
+}
+
 unsigned long long fileBytes(const std::string& path)
 {
     std::error_code failed;

@@ -36,6 +36,10 @@ void checkIsNoneOf(
 /// The whole content of @a path, "-" being standard input. @throws Error(Input).
 std::string readText(const std::string& path);
 
+/// Refuses folders, devices and pipes, which image readers would wait for without end; what is
+/// missing is left to the reader. @throws Error(Input).
+void requireFile(const std::string& path);
+
 /// Size of a file in bytes, 0 where there is none.
 unsigned long long fileBytes(const std::string& path);
 

@@ -3,6 +3,7 @@
 
 #include "interrupt.h"
 #include "numbers.h"
+#include "output.h"
 
 namespace lumivdb::cli {
 
@@ -101,6 +102,7 @@ std::shared_ptr<const Scene> SceneOptions::load(Console& console) const
         EnvironmentOptions options = mEnvironmentOptions;
         options.scale = static_cast<float>(mEnvironmentScale);
         std::vector<std::string> warnings;
+        requireFile(mEnvironment);
         scene->environment = Environment::load(mEnvironment, options, warnings);
         console.warn(warnings);
         throwIfInterrupted();

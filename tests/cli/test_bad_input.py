@@ -357,9 +357,13 @@ SCENES = [
 
 SKY = "bake box.gltf -o out.vdb --spacing 1 --rays 16 --env "
 ENVIRONMENTS = [
-    Case("environment missing", SKY + "absent.hdr", 3, ("absent.hdr", "does not exist")),
+    Case("environment missing", SKY + "absent.hdr", 3, ("absent.hdr", "could not open")),
     Case("environment empty", SKY + "sky.hdr", 3, ("sky.hdr",), {"sky.hdr": b""}),
-    Case("environment is a folder", SKY + "sky.exr", 3, ("sky.exr",), {"sky.exr": folder_at}),
+    Case("environment is a folder", SKY + "sky.exr", 3, ("sky.exr", "not a file"),
+         {"sky.exr": folder_at}),
+    Case("environment is a pipe", "project sky.hdr", 3, ("sky.hdr", "not a file"),
+         {"sky.hdr": pipe_at}),
+    Case("environment without end", SKY + "/dev/zero", 3, ("/dev/zero", "not a file")),
     Case("environment of garbage", SKY + "sky.exr", 3, ("sky.exr",), {"sky.exr": b"sky" * 500}),
     Case("truncated HDR", SKY + "sky.hdr", 3, ("sky.hdr", "cut short"),
          {"sky.hdr": sf.radiance(16, 8)[:-64]}),
@@ -794,11 +798,11 @@ class Files(unittest.TestCase):
     def test_an_edit_that_is_allowed_is_read(self):
         with tempfile.TemporaryDirectory() as name:
             path = pathlib.Path(name) / "edited.vdb"
-            path.write_bytes(last_value((7.5, 1, 1))(VOLUMES.bytes()))
+            path.write_bytes(last_value((75.0, 1, 1))(VOLUMES.bytes()))
             code, out, err = run_in(name, ["stats", "edited.vdb", "--json", "-"])
             self.assertEqual(code, 0, err)
             sh_0 = [c for c in json.loads(out)["channels"] if c["name"] == "sh_0"][0]
-            self.assertEqual(sh_0["max"], 7.5)
+            self.assertEqual(sh_0["max"], 75.0)
 
     def test_there_are_enough_cases(self):
         self.assertGreater(sum(len(cases) for _, cases in GROUPS), 150)

@@ -58,8 +58,8 @@ class Lab:
         return rows
 
     def bake(self, scene, name, *options):
-        return json.loads(self.ok("bake", scene, "-o", name, "--rays", "64", "--json", "-",
-                                  *options))
+        rays = () if "--rays" in options else ("--rays", "64")
+        return json.loads(self.ok("bake", scene, "-o", name, "--json", "-", *rays, *options))
 
     def query(self, volume, points, *options):
         stdin = "\n".join(",".join(map(repr, p)) for p in points)
@@ -106,11 +106,14 @@ def thin_wall(lab):
     need(lit["L"] > 0.05 and dark["L"] == 0, lit, dark)
     # A volume interpolates between samples on both sides, so it leaks by up to a cell.
     lab.bake(scene, "rooms.vdb", "--spacing", "0.5", "--bounds", "-1,0.5,-1,1,2.5,1")
-    cells = lab.query("rooms.vdb", [(x, 1.25, 0.25, 1, 0, 0) for x in (0.25, 0.75)])
-    need(cells[1]["Er"] == 0, cells)
+    cells = lab.query("rooms.vdb", [(x, 1.25, 0.25, -1, 0, 0) for x in (-0.75, -0.25, 0.25, 0.75)])
+    need(cells[3]["Er"] == 0 and cells[0]["Er"] > 0.3, cells)
+    said = ", ".join(f"{row['Er']:.3g} at {row['x']:g}" for row in cells)
+    side = "dark" if cells[2]["Er"] == 0 else "lit"
     return (f"0.1 mm in front of the wall L = {lit['L']:.3g}, 0.1 mm behind it exactly 0. In a volume "
-            f"(spacing 0.5) the light of the samples on the wall reaches one cell into the dark "
-            f"room: E = {cells[0]['Er']:.3g} at 0.25 behind it, exactly 0 at 0.75")
+            f"of spacing 0.5 the samples on the wall (x = 0, the lit room before it) see one side of "
+            f"it, here the {side} one, so the last cell on the other side is wrong by up to all of "
+            f"its light: E = {said}; choose bounds or a spacing that keep samples off such walls")
 
 
 def bad_triangles(lab):
@@ -152,14 +155,14 @@ def on_surface(lab):
     rows = lab.probe(scene, points, rays=512)
     need(all(math.isfinite(row["L"]) for row in rows), rows)
     near(rows[-1]["L"], 2, 5 * rows[-1]["stderr_L"], "centre")
-    lab.bake(scene, "room.vdb", "--spacing", "0.5", "--bounds", "-1,-1,-1,1,1,1")
+    lab.bake(scene, "room.vdb", "--spacing", "0.5", "--bounds", "-1,-1,-1,1,1,1", "--rays", "1024")
     lit = lab.query("room.vdb", [p + (-1, 0, 0) for p in points])
     for row in lit:
-        near(row["Er"], 2 * math.pi, 0.15 * 2 * math.pi, row)
+        near(row["Er"], 2 * math.pi, 0.08 * 2 * math.pi, row)
     return ("probe: L = " + ", ".join(f"{row['L']:.3g}" for row in rows[:3])
-            + " on a face, an edge, a corner of the furnace (L = 2 inside; rays that start on a wall "
-            "see what lies outside it: nothing). bake: samples on a surface are moved off it by a "
-            "thousandth of the spacing; E = "
+            + " on a face, an edge, a corner of the furnace (L = 2 inside; a ray that starts on a "
+            "wall may miss that wall and see what lies outside: nothing). bake: samples on a surface "
+            "are moved off it by a thousandth of the spacing; E = "
             + ", ".join(f"{row['Er']:.4g}" for row in lit[:3]) + " there (exact: 6.283)")
 
 
@@ -169,7 +172,8 @@ def far(lab):
     row = lab.probe(scene, [(1e6 + 0.1, -1e6 + 0.2, 1e6 + 0.3)])[0]
     near(row["L"], 2, 5 * row["stderr_L"], "L")
     report = lab.bake(scene, "far.vdb", "--spacing", "0.5",
-                      "--bounds", "999999.5,-1000000.5,999999.5,1000000.5,-999999.5,1000000.5")
+                      "--bounds", "999999.5,-1000000.5,999999.5,1000000.5,-999999.5,1000000.5",
+                      "--rays", "1024")
     lit = lab.query("far.vdb", [(1e6, -1e6, 1e6, 0, 1, 0)])[0]
     near(lit["Er"], 2 * math.pi, 0.1 * 2 * math.pi, "E")
     return (f"L = {row['L']:.4g} ± {row['stderr_L']:.2g} in the furnace (exact: 2); a volume of "
@@ -277,17 +281,17 @@ def half(lab):
     code, _, err = run("resample", "room.vdb", "--scale", "1e5", "--half", "-o", "big.vdb",
                        cwd=lab.folder)
     need(code == 4 and "65504" in err and not (lab.folder / "big.vdb").exists(), code, err)
-    said = []
-    for scale in ("1", "1e-4", "1e-7", "1e-9"):
+    said, errors = [], []
+    for scale in ("1", "1e-4", "1e-6", "1e-7", "1e-9"):
         report = json.loads(lab.ok("resample", "room.vdb", "--scale", scale, "--half", "-o",
                                    "half.vdb", "--json", "-"))
         error = report["error"]["rel_rmse"]
         said.append(f"{scale}: {error:.2g}")
-        if scale == "1":
-            need(error < 1e-3, report)
+        errors.append(error)
+    need(errors[0] < 1e-3 and errors[1] < 1e-2 and errors[-1] > 0.99, errors)
     return ("A value above 65504 is refused (exit code 4, the grid and the place are named). Small "
-            "values lose digits and at last vanish; the error is printed. Light of about 7 times "
-            + "; ".join(said) + " (relative error)")
+            "values lose digits and at last vanish (below 3e-8), and resample prints that error. "
+            "Coefficients of about 7 times " + "; ".join(said) + " (relative error)")
 
 
 def ringing(lab):

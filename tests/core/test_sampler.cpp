@@ -296,7 +296,7 @@ TEST_CASE("invalid samples never contribute: weights are renormalised", "[sample
         const Vec3d t = randomIn(rng, Vec3d(0.0), Vec3d(1.0));
         Vec3d sum(0.0), idw(0.0);
         double weight = 0, idwWeight = 0, validity = 0, nearest = 1e9;
-        Color nearestValue;
+        Color nearestValue(0.0f);
         for (SampleId s = 0; s < 8; ++s) {
             const Coord c = v.samplePosition(s);
             double w = 1;
@@ -431,7 +431,7 @@ TEST_CASE("levels 0 to 7: every query equals brute force", "[sampler][levels]")
         const double reach = k % 3 == 0 ? 400 : k % 3 == 1 ? 60 : 8;
         const Vec3d focus = k % 3 == 0 ? Vec3d(0.0) : Vec3d(-37, 5, 20);
         const Vec3d p = focus + randomIn(rng, Vec3d(-reach), Vec3d(reach));
-        Vec3d expected;
+        Vec3d expected(0.0);
         int level = -1;
         QueryInfo info;
         Color L[4];
@@ -485,7 +485,7 @@ TEST_CASE("two cells at the ends of a huge lattice: small table or none", "[samp
         CounterRng rng(61);
         for (int k = 0; k < 200; ++k) {
             const Vec3d p = randomIn(rng, Vec3d(0.0), Vec3d(1.0)) + Vec3d(k % 2 ? far : 0);
-            Vec3d expected;
+            Vec3d expected(0.0);
             int level = 0;
             REQUIRE(reference(v, cells, p, 2, expected, level));
             Color L[4];

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "vdb_test.h"
 
+#include "../../vdb_io/src/nearest_cell.h"
+
 #include <lumivdb/core/error.h>
 #include <lumivdb/core/random.h>
 #include <lumivdb/core/sampler.h>
@@ -9,6 +11,7 @@
 
 #include <catch2/catch.hpp>
 
+#include <algorithm>
 #include <cmath>
 #include <functional>
 #include <limits>
@@ -223,6 +226,29 @@ TEST_CASE("resampling is exact for a field that interpolation represents")
     }
     CHECK(inside == 15u * 15 * 15); // 2.7 / 0.19 = 14.2: points 0 … 14 of 16 lie inside
     CHECK(out.sampleCount() == 16u * 16 * 16);
+}
+
+TEST_CASE("the nearest cell is the one that a search through all finds")
+{
+    const IrradianceVolume volume = adaptiveVolume({-16, 0, 0}, 5, {-3, 5, 7}, 1, false);
+    const NearestCell nearest(volume);
+    CounterRng rng(5);
+    for (int i = 0; i < 500; ++i) {
+        const Vec3d p = randomPoint(rng, Box3d(Vec3d(-40, -20, -20), Vec3d(40, 50, 50)));
+        double best = std::numeric_limits<double>::infinity();
+        CellId expected = kNoCell;
+        for (std::size_t id = 0; id < volume.cellCount(); ++id) {
+            const Cell& cell = volume.cell(static_cast<CellId>(id));
+            double sum = 0;
+            for (int a = 0; a < 3; ++a) {
+                const double lower = cell.origin[a], upper = lower + (1 << cell.level);
+                const double d = p[a] - std::clamp(p[a], lower, upper);
+                sum += d * d;
+            }
+            if (sum < best) best = sum, expected = static_cast<CellId>(id);
+        }
+        REQUIRE(nearest.find(p) == expected);
+    }
 }
 
 TEST_CASE("resampling fills holes and refuses bad spacings")
