@@ -35,9 +35,9 @@ public:
 private:
     void declareTracing(Arguments& arguments);
     void validate(const Arguments& arguments) const;
-    std::vector<Probed> probeAll(const ProbeEstimator& estimator, const std::vector<Vec3d>& points,
-        Progress& progress) const;
-    Probed probeOne(const ProbeEstimator& estimator, const Vec3d& p,
+    std::vector<Probed> probeAll(
+        const Tracer& tracer, const std::vector<Vec3d>& points, Progress& progress) const;
+    Probed probeOne(const ProbeEstimator& estimator, const Vec3d& p, std::uint64_t key,
         ProbeEstimator::Workspace& workspace) const;
     void print(const std::vector<Vec3d>& points, const std::vector<Probed>& probed) const;
 
@@ -50,6 +50,9 @@ private:
     std::optional<double> mDelta;
     double mStep = 0; // world units, of central differences
 };
+
+/// Share of the scene's diagonal to which a point on a surface is moved off it.
+constexpr double kOnSurface = 1e-5;
 
 std::uint64_t bitsOf(double value)
 {
@@ -106,7 +109,9 @@ void ProbeCommand::declare(Arguments& arguments)
                        "distance: harmonic mean to what they met; stderr: standard error of E "
                        "averaged over normals, worst channel.");
     arguments.text("--points", "FILE|-", mPoints,
-        "CSV of x,y,z a line, scene units, column names optional; - is standard input");
+        "CSV of x,y,z a line, scene units, column names optional; - is standard input. A point on "
+        "a "
+        "surface is moved off it by 1e-5 of the scene's diagonal, to its inner side");
     arguments.require();
     mScene.declareLight(arguments);
     mScene.declareLightGroup(arguments, "[default: all light]");
@@ -137,11 +142,10 @@ void ProbeCommand::validate(const Arguments& arguments) const
     }
 }
 
-Probed ProbeCommand::probeOne(
-    const ProbeEstimator& estimator, const Vec3d& p, ProbeEstimator::Workspace& workspace) const
+Probed ProbeCommand::probeOne(const ProbeEstimator& estimator, const Vec3d& p, std::uint64_t key,
+    ProbeEstimator::Workspace& workspace) const
 {
     Probed probed;
-    const std::uint64_t key = keyOf(mProbe.seed, p);
     probed.light = estimator.radianceSh(p, mBands, key, workspace);
     if (mGradients == GradientMethod::None) return probed;
     for (int axis = 0; axis < 3; ++axis) {
@@ -158,14 +162,18 @@ Probed ProbeCommand::probeOne(
 }
 
 std::vector<Probed> ProbeCommand::probeAll(
-    const ProbeEstimator& estimator, const std::vector<Vec3d>& points, Progress& progress) const
+    const Tracer& tracer, const std::vector<Vec3d>& points, Progress& progress) const
 {
+    const ProbeEstimator estimator(tracer, mProbe);
+    const Box3d box = tracer.scene().bounds();
+    const double clearance = box.isEmpty() ? 0 : kOnSurface * box.size().length();
     std::vector<Probed> probed(points.size());
     tbb::enumerable_thread_specific<ProbeEstimator::Workspace> workspaces;
     progress.begin("trace points", points.size());
     const auto body = [&](std::size_t i) {
         throwIfInterrupted();
-        probed[i] = probeOne(estimator, points[i], workspaces.local());
+        const Vec3d p = clearance > 0 ? moveOffSurfaces(tracer, points[i], clearance) : points[i];
+        probed[i] = probeOne(estimator, p, keyOf(mProbe.seed, points[i]), workspaces.local());
         progress.advance(1);
     };
     tbb::parallel_for(std::size_t(0), points.size(), body);
@@ -204,8 +212,7 @@ void ProbeCommand::run(const Arguments& arguments)
     ProgressBar progress(mCommon.console.progressStyle());
     const Tracer tracer(scene, &progress);
     throwIfInterrupted();
-    const ProbeEstimator estimator(tracer, mProbe);
-    const std::vector<Probed> probed = probeAll(estimator, points.positions, progress);
+    const std::vector<Probed> probed = probeAll(tracer, points.positions, progress);
     progress.finish();
     print(points.positions, probed);
 }

@@ -22,7 +22,10 @@ class CompanionFiles : public Assimp::DefaultIOSystem {
 public:
     Assimp::IOStream* Open(const char* file, const char* mode) override
     {
-        Assimp::IOStream* stream = Assimp::DefaultIOSystem::Open(file, mode);
+        // Opening a pipe would wait for a writer for ever.
+        std::error_code unknown;
+        const bool regular = std::filesystem::is_regular_file(file, unknown);
+        Assimp::IOStream* stream = regular ? Assimp::DefaultIOSystem::Open(file, mode) : nullptr;
         if (!stream) missing.emplace_back(file);
         return stream;
     }
@@ -84,6 +87,9 @@ void AssimpReader::read()
         if (materials[i].name.empty()) materials[i].name = "material " + std::to_string(i);
     }
     walkNodes();
+    // Assimp finds an empty scene in any bytes at all.
+    if (mImport.scene.meshes.empty())
+        mImport.fail("it holds no triangles; check that it is a scene");
     std::vector<bool> used(materials.size(), false);
     for (const Mesh& mesh : mImport.scene.meshes) {
         used[static_cast<std::size_t>(mesh.material)] = true;

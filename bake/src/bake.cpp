@@ -119,31 +119,6 @@ private:
     Surroundings mSeen{2, 2}; // worse than any
 };
 
-/// A lattice point that lies on a surface has two answers, on an edge four, in a corner eight: see
-/// BestPlace. Places are compared once they are off *all* surfaces: rays that begin on one see
-/// either of its sides, by rounding.
-Vec3d moveOffSurfaces(const Tracer& tracer, const Vec3d& lattice, double spacing)
-{
-    constexpr int kMoves = 4; // the three surfaces of a corner, and one more
-    const double clearance = kOnSurface * spacing;
-    std::vector<Vec3d> places;
-    collectPlaces(tracer, lattice, clearance, kMoves, places);
-    if (places.size() == 1) return places[0];
-    BestPlace best(tracer);
-    for (const Vec3d& p : places) best.offer(p);
-    if (!places.empty() && !best.isDoubtful()) return best.place();
-
-    // In an acute edge no move along one normal stays inside: look further, all around.
-    constexpr int kDirections = 256;
-    static const std::vector<Vec3f> directions = stratifiedDirections(0, kDirections);
-    if (places.empty()) best.offer(lattice);
-    for (const Vec3f& d : directions) {
-        const Vec3d p = lattice + Vec3d(d) * (4 * clearance);
-        if (!tracer.closestSurface(p, 0.25 * clearance, nullptr, nullptr)) best.offer(p);
-    }
-    return best.place();
-}
-
 class Baker {
 public:
     Baker(const Tracer& tracer, const BakeOptions& options, IrradianceVolume& volume)
@@ -190,7 +165,8 @@ private:
     {
         const Coord& c = mVolume.samplePosition(s);
         const std::uint64_t key = hashPoint(mOptions.probe.seed, c.x, c.y, c.z);
-        const Vec3d p = moveOffSurfaces(mTracer, mVolume.sampleWorld(s), mVolume.spacing());
+        const Vec3d p
+            = moveOffSurfaces(mTracer, mVolume.sampleWorld(s), kOnSurface * mVolume.spacing());
         const ProbeResult r = mEstimator.radianceSh(p, mOptions.bands, key, workspace);
         std::copy(r.value.begin(), r.value.end(), mVolume.radiance(s));
         mVolume.validity(s) = r.validity;
@@ -246,6 +222,29 @@ private:
 };
 
 } // namespace
+
+// Places are compared once they are off *all* surfaces: rays that begin on one see either of its
+// sides, by rounding.
+Vec3d moveOffSurfaces(const Tracer& tracer, const Vec3d& point, double clearance)
+{
+    constexpr int kMoves = 4; // the three surfaces of a corner, and one more
+    std::vector<Vec3d> places;
+    collectPlaces(tracer, point, clearance, kMoves, places);
+    if (places.size() == 1) return places[0];
+    BestPlace best(tracer);
+    for (const Vec3d& p : places) best.offer(p);
+    if (!places.empty() && !best.isDoubtful()) return best.place();
+
+    // In an acute edge no move along one normal stays inside: look further, all around.
+    constexpr int kDirections = 256;
+    static const std::vector<Vec3f> directions = stratifiedDirections(0, kDirections);
+    if (places.empty()) best.offer(point);
+    for (const Vec3f& d : directions) {
+        const Vec3d p = point + Vec3d(d) * (4 * clearance);
+        if (!tracer.closestSurface(p, 0.25 * clearance, nullptr, nullptr)) best.offer(p);
+    }
+    return best.place();
+}
 
 void BakeOptions::validate() const
 {

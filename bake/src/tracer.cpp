@@ -9,6 +9,8 @@
 #include <chrono>
 #include <cmath>
 #include <limits>
+#include <map>
+#include <tuple>
 
 namespace lumivdb {
 
@@ -101,8 +103,10 @@ private:
         }
     }
 
+    /// Triangles that coincide and shine to the same side are one emitter: a ray meets one of them.
     void addEmitters()
     {
+        std::map<std::array<float, 9>, std::int32_t> known;
         for (std::size_t i = 0; i < mImpl.triangles.size(); ++i) {
             Tracer::Impl::Triangle& t = mImpl.triangles[i];
             const Material& material = mImpl.materialOf(t);
@@ -120,10 +124,29 @@ private:
             e.normal.normalize();
             e.offset = rayOffset(a, b, c);
             e.doubleSided = material.doubleSided && !material.emitsFrontOnly;
+            const auto twin = known.emplace(emitterKey({a, b, c}, e.doubleSided), 0);
+            if (!twin.second) {
+                t.emitter = twin.first->second;
+                continue;
+            }
             e.power = 3.14159265358979 * e.area * (e.doubleSided ? 2 : 1) * meanEmission(t);
-            t.emitter = mImpl.emitters.add(e);
+            t.emitter = twin.first->second = mImpl.emitters.add(e);
         }
         mImpl.emitters.finish(mImpl.scene->environment);
+    }
+
+    /// The vertices from the smallest on, in their order, or sorted where both sides shine.
+    static std::array<float, 9> emitterKey(std::array<Vec3f, 3> v, bool doubleSided)
+    {
+        const auto less = [](const Vec3f& a, const Vec3f& b) {
+            return std::tie(a.x, a.y, a.z) < std::tie(b.x, b.y, b.z);
+        };
+        if (doubleSided) {
+            std::sort(v.begin(), v.end(), less);
+        } else {
+            std::rotate(v.begin(), std::min_element(v.begin(), v.end(), less), v.end());
+        }
+        return {v[0].x, v[0].y, v[0].z, v[1].x, v[1].y, v[1].z, v[2].x, v[2].y, v[2].z};
     }
 
     /// Mean luminance over a triangle from a few texels, never 0: a weight for choosing, and what

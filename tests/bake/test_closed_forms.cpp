@@ -385,3 +385,18 @@ TEST_CASE("a sky that a room cannot see does not spoil its light", "[closed][har
         < 4 * std::hypot(lit.stderr_[0].x, dark.stderr_[0].x));
     CHECK(lit.stderr_[0].x < 3 * dark.stderr_[0].x);
 }
+
+TEST_CASE("coinciding emitters are one emitter", "[closed][hard]")
+{
+    // A furnace with every triangle twice: rays meet one of each pair, so the light is that of one.
+    for (const bool doubleSided : {false, true}) {
+        Scene scene;
+        const int m = addMaterial(scene, Color(0.5f), Color(1.0f), doubleSided);
+        addInwardBox(scene, m, Vec3d(-1.0), Vec3d(2.0));
+        addInwardBox(scene, m, Vec3d(-1.0), Vec3d(2.0));
+        Bench bench(scene, withRays(8192));
+        const ProbeResult r = bench.sh({0.3, 0.1, 0.2}, 1);
+        CAPTURE(doubleSided);
+        checkEstimate(r.value[0].x, r.stderr_[0].x, 2 * std::sqrt(4 * kPi), 2 * 3.5449);
+    }
+}

@@ -344,8 +344,8 @@ SCENES = [
          {"bad.obj": "v one two three\nf a b c\n"}),
     Case("OBJ whose face names vertex 99", "bake bad.obj -o out.vdb --spacing 1 --rays 16", 3,
          ("bad.obj",), {"bad.obj": "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99\n"}),
-    Case("OBJ of binary garbage (no face in it: warning)",
-         "bake bad.obj -o out.vdb --spacing 1 --rays 16", 0, ("no triangles",),
+    Case("OBJ of binary garbage", "bake bad.obj -o out.vdb --spacing 1 --rays 16", 3,
+         ("bad.obj", "no triangles"),
          {"bad.obj": bytes((i * 7919 + i // 251) % 256 for i in range(4096))}),
     Case("OBJ without its MTL (warning)", "bake bad.obj -o out.vdb --spacing 1 --rays 16 "
          "--max-bounces 2", 0, ("missing", "absent.mtl"),

@@ -286,7 +286,7 @@ class Volumes(CliCase):
     def test_options_reproduce_the_bake(self):
         options = self.json("stats", self.volume)["options"]
         self.assertIn("--spacing 0.25", options)
-        self.assertIn("--rays 64", options)
+        self.assertIn("--rays 4096", options)
         for absent in ("--quiet", "--output", "--threads", "--json"):
             self.assertNotIn(absent, options)
         plain = self.folder / "plain.vdb"
@@ -342,7 +342,7 @@ class Volumes(CliCase):
         for name, bounds in (("low.vdb", "-0.5,-0.5,-0.5,0,0.5,0.5"),
                              ("high.vdb", "0,-0.5,-0.5,0.5,0.5,0.5")):
             self.ok("bake", FURNACE, "-o", self.folder / name, "--bounds", bounds, "--spacing",
-                    "0.25", "--rays", "64", "--quiet")
+                    "0.25", "--rays", "4096", "--quiet")
         joined = self.folder / "joined.vdb"
         self.ok("resample", self.folder / "low.vdb", self.folder / "high.vdb", "-o", joined,
                 "--quiet")

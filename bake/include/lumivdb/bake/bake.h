@@ -64,6 +64,12 @@ double defaultSpacing(const Box3d& sceneBounds);
 BakeResult bakeVolume(
     const Tracer& tracer, const BakeOptions& options, Progress* progress = nullptr);
 
+/// A point that lies on a surface (within half of @a clearance, world units) has two answers, on an
+/// edge four, in a corner eight. Returns a place @a clearance off all of them: the one that sees
+/// fewest back faces, then the one from which fewest rays escape (inside rather than outside), then
+/// the front. Other points come back as they are.
+Vec3d moveOffSurfaces(const Tracer& tracer, const Vec3d& point, double clearance);
+
 struct EvaluateOptions {
     std::size_t points = 1000;
     int rays = 4096; ///< per point, of the reference
