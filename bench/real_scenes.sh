@@ -45,4 +45,4 @@ row cornell-bitterli5 "$assets/cornell-bitterli/cornell-bitterli.glb" 5 "--emiss
 row house "$samples/house.glb" 5 "--env $samples/sky.hdr" --bounds=-10,0,-10,10,5,10 --spacing 0.5
 row courtyard "$samples/courtyard.glb" 3 "--env $samples/sky.hdr" --spacing 2
 row two_rooms_door "$samples/two_rooms_door.glb" 3 "" --spacing 0.25
-row furnace "$samples/furnace.glb" 3 "" --spacing 0.25
+row furnace "$samples/furnace.glb" 3 "" --bounds=-1,-1,-1,1,1,1 --spacing 0.25
