@@ -826,7 +826,7 @@ INTRODUCTION = """# Bad input and hard cases
 
 What the program does with input that is wrong, missing or hostile, and with outputs that cannot be
 written. Made by `python3 tests/cli/test_bad_input.py --table` and, for the last section,
-`python3 tests/cli/test_hard_cases.py --table`; the same two scripts are tests that fail when a code,
+`python3 tests/cli/test_hard_cases.py --table --large`; the same two scripts are tests that fail when a code,
 a message or a left-over file differs. No case crashes, none leaves a broken or an unnamed file: an
 output is written under another name (or none) in its folder and takes the place of the old file at
 the end. Only `kill -9` on a file system without unnamed files (O_TMPFILE) can leave a
