@@ -67,17 +67,18 @@ TEST_CASE("every prefix of a file is refused")
     const std::string path = folder.file("a.vdb"), cut = folder.file("cut.vdb");
     saveSmall(path);
     REQUIRE(tryLoad(path) == Outcome::Loaded);
-    const std::vector<char> bytes = readBytes(path);
-    std::size_t loaded = 0;
-    for (std::size_t n = bytes.size(); n-- > 0;) {
-        writeBytes(cut, {bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(n)});
+    std::filesystem::copy_file(path, cut);
+    const std::uintmax_t size = std::filesystem::file_size(path);
+    std::size_t loaded = 0, tried = 0;
+    for (std::uintmax_t n = size; n-- > 0; ++tried) {
+        std::filesystem::resize_file(cut, n);
         loaded += tryLoad(cut) == Outcome::Loaded;
-        if (n > 2000 && n + 2000 < bytes.size()) n -= 16; // begin and end byte by byte
     }
+    CHECK(tried == size);
     CHECK(loaded == 0);
 }
 
-TEST_CASE("every flipped bit is noticed")
+TEST_CASE("flipped bits are noticed")
 {
     const TempFolder folder;
     const std::string path = folder.file("a.vdb"), flipped = folder.file("flipped.vdb");
@@ -115,7 +116,7 @@ TEST_CASE("bytes behind the footer and a foreign footer are noticed")
     CHECK(tryLoad(path) == Outcome::Refused);
 }
 
-TEST_CASE("no prefix of a file without footer loads")
+TEST_CASE("prefixes of a file without footer do not load")
 {
     const TempFolder folder;
     const std::string ours = folder.file("a.vdb"), path = folder.file("rewritten.vdb");
@@ -129,7 +130,7 @@ TEST_CASE("no prefix of a file without footer loads")
         const IgnoreLeaks ignore;
         std::size_t loaded = 0;
         for (std::size_t n = 0; n < bytes.size(); ++n) {
-            if (n > 1500 && n + 200 < bytes.size()) n += 96;
+            if (n > 1500 && n + 200 < bytes.size()) n += 48;
             writeBytes(broken, {bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(n)});
             loaded += tryLoad(broken) == Outcome::Loaded;
         }
