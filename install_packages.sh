@@ -6,11 +6,13 @@
 set -euo pipefail
 
 # zlib1g-dev and openimageio-tools: what OpenVDB's and OpenImageIO's CMake files ask for.
-# fonts-dejavu-core: the numbers in pictures.
+# fonts-dejavu-core: the numbers in pictures. gnuplot-nox: bench --plot.
 packages=(g++ cmake ninja-build ccache pkg-config
     libopenvdb-dev libboost-dev libboost-iostreams-dev libblosc-dev zlib1g-dev libimath-dev libtbb-dev
+    libhwy-dev
     libembree-dev libopenimageio-dev openimageio-tools libtinygltf-dev libassimp-dev
-    libcli11-dev nlohmann-json3-dev catch2 python3 python3-openvdb python3-numpy fonts-dejavu-core)
+    libcli11-dev nlohmann-json3-dev catch2 python3 python3-openvdb python3-numpy fonts-dejavu-core
+    gnuplot-nox)
 for group in "$@"; do
     case "$group" in
         tests) packages+=(blender) ;;

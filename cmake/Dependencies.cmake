@@ -18,6 +18,7 @@ include(CMakeFindDependencyMacro)
 lumivdb_dependency(Threads)
 lumivdb_dependency(Imath CONFIG)
 lumivdb_dependency(TBB CONFIG)
+lumivdb_dependency(hwy CONFIG)
 
 # Debian keeps OpenVDB's find module outside CMake's search path.
 set(_lumivdb_module_path ${CMAKE_MODULE_PATH})

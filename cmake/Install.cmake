@@ -11,6 +11,10 @@ foreach(name IN LISTS LUMIVDB_COMPONENTS)
 endforeach()
 if(TARGET lumivdb_cli)
   install(TARGETS lumivdb_cli RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+  # What `lumivdb bench` measures where nothing is named.
+  install(DIRECTORY ${PROJECT_SOURCE_DIR}/samples/
+    DESTINATION ${CMAKE_INSTALL_DATADIR}/lumivdb/samples
+    FILES_MATCHING PATTERN "*.glb" PATTERN "*.hdr")
 endif()
 
 configure_package_config_file(cmake/lumivdbConfig.cmake.in

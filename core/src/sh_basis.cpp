@@ -48,7 +48,7 @@ template <int Stride, class T> inline void degree2(T x, T y, T z, T zz, T s2, T 
     const T p1 = T(-k21) * z;
     out[4 * Stride] = T(k22) * s2;
     out[5 * Stride] = p1 * y;
-    out[6 * Stride] = T(k20) * (T(3) * zz - T(1));
+    out[6 * Stride] = T(3 * k20) * zz - T(k20);
     out[7 * Stride] = p1 * x;
     out[8 * Stride] = T(k22) * c2;
 }
@@ -56,12 +56,12 @@ template <int Stride, class T> inline void degree2(T x, T y, T z, T zz, T s2, T 
 template <int Stride, class T>
 inline void degree3(T x, T y, T z, T zz, T s2, T c2, T s3, T c3, T* out)
 {
-    const T p1 = T(-k31) * (T(5) * zz - T(1));
+    const T p1 = T(-5 * k31) * zz + T(k31);
     const T p2 = T(k32) * z;
     out[9 * Stride] = T(-k33) * s3;
     out[10 * Stride] = p2 * s2;
     out[11 * Stride] = p1 * y;
-    out[12 * Stride] = T(k30) * z * (T(5) * zz - T(3));
+    out[12 * Stride] = z * (T(5 * k30) * zz - T(3 * k30));
     out[13 * Stride] = p1 * x;
     out[14 * Stride] = p2 * c2;
     out[15 * Stride] = T(-k33) * c3;
@@ -70,14 +70,14 @@ inline void degree3(T x, T y, T z, T zz, T s2, T c2, T s3, T c3, T* out)
 template <int Stride, class T>
 inline void degree4(T x, T y, T z, T zz, T s2, T c2, T s3, T c3, T s4, T c4, T* out)
 {
-    const T p1 = T(-k41) * z * (T(7) * zz - T(3));
-    const T p2 = T(k42) * (T(7) * zz - T(1));
+    const T p1 = z * (T(-7 * k41) * zz + T(3 * k41));
+    const T p2 = T(7 * k42) * zz - T(k42);
     const T p3 = T(-k43) * z;
     out[16 * Stride] = T(k44) * s4;
     out[17 * Stride] = p3 * s3;
     out[18 * Stride] = p2 * s2;
     out[19 * Stride] = p1 * y;
-    out[20 * Stride] = T(k40) * ((T(35) * zz - T(30)) * zz + T(3));
+    out[20 * Stride] = (T(35 * k40) * zz - T(30 * k40)) * zz + T(3 * k40);
     out[21 * Stride] = p1 * x;
     out[22 * Stride] = p2 * c2;
     out[23 * Stride] = p3 * c3;
@@ -89,16 +89,16 @@ inline void degree5(T x, T y, T z, T zz, T s2, T c2, T s3, T c3, T s4, T c4, T* 
 {
     const T s5 = x * s4 + y * c4;
     const T c5 = x * c4 - y * s4;
-    const T p1 = T(-k51) * ((T(21) * zz - T(14)) * zz + T(1));
-    const T p2 = T(k52) * z * (T(3) * zz - T(1));
-    const T p3 = T(-k53) * (T(9) * zz - T(1));
+    const T p1 = (T(-21 * k51) * zz + T(14 * k51)) * zz - T(k51);
+    const T p2 = z * (T(3 * k52) * zz - T(k52));
+    const T p3 = T(-9 * k53) * zz + T(k53);
     const T p4 = T(k54) * z;
     out[25 * Stride] = T(-k55) * s5;
     out[26 * Stride] = p4 * s4;
     out[27 * Stride] = p3 * s3;
     out[28 * Stride] = p2 * s2;
     out[29 * Stride] = p1 * y;
-    out[30 * Stride] = T(k50) * z * ((T(63) * zz - T(70)) * zz + T(15));
+    out[30 * Stride] = z * ((T(63 * k50) * zz - T(70 * k50)) * zz + T(15 * k50));
     out[31 * Stride] = p1 * x;
     out[32 * Stride] = p2 * c2;
     out[33 * Stride] = p3 * c3;

@@ -103,6 +103,9 @@ IrradianceVolume IrradianceVolume::cloneTopology(int bands, GradientStorage grad
     auto impl = Impl::create(
         mImpl->topology, bands, gradients == GradientStorage::PerCoefficient, mImpl->indexToWorld);
     impl->metadata = mImpl->metadata;
+    impl->offsets = mImpl->offsets;
+    impl->cutOf = mImpl->cutOf;
+    impl->cuts = mImpl->cuts;
     return IrradianceVolume(std::move(impl));
 }
 
@@ -184,13 +187,53 @@ float& IrradianceVolume::validity(SampleId s) { return mImpl->validity[s]; }
 float IrradianceVolume::validity(SampleId s) const { return mImpl->validity[s]; }
 float& IrradianceVolume::distance(SampleId s) { return mImpl->distance[s]; }
 float IrradianceVolume::distance(SampleId s) const { return mImpl->distance[s]; }
+LatticeBox IrradianceVolume::latticeBounds() const
+{
+    return mImpl->metadata.bounds.value_or(LatticeBox{minLattice(), maxLattice()});
+}
+
+bool IrradianceVolume::hasOffsets() const { return !mImpl->offsets.empty(); }
+Vec3f IrradianceVolume::offset(SampleId s) const
+{
+    return mImpl->offsets.empty() ? Vec3f(0.0f) : mImpl->offsets[s];
+}
+void IrradianceVolume::setOffsets(std::vector<Vec3f> offsets)
+{
+    if (!offsets.empty() && offsets.size() != sampleCount()) {
+        throw Error(ErrorCode::Usage,
+            "A volume of " + std::to_string(sampleCount()) + " samples was given "
+                + std::to_string(offsets.size()) + " offsets; give one for each, or none.");
+    }
+    mImpl->offsets = std::move(offsets);
+}
+
+bool IrradianceVolume::hasVisibility() const { return !mImpl->cuts.empty(); }
+const CellVisibility* IrradianceVolume::visibility(CellId id) const
+{
+    if (mImpl->cutOf.empty()) return nullptr;
+    const std::int32_t i = mImpl->cutOf[static_cast<std::size_t>(id)];
+    return i < 0 ? nullptr : &mImpl->cuts[static_cast<std::size_t>(i)];
+}
+void IrradianceVolume::setVisibility(const std::vector<std::pair<CellId, CellVisibility>>& cut)
+{
+    mImpl->cuts.clear();
+    mImpl->cutOf.clear();
+    if (cut.empty()) return;
+    mImpl->cutOf.assign(cellCount(), -1);
+    for (const auto& [id, visibility] : cut) {
+        mImpl->cutOf[static_cast<std::size_t>(id)] = static_cast<std::int32_t>(mImpl->cuts.size());
+        mImpl->cuts.push_back(visibility);
+    }
+}
+
 VolumeMetadata& IrradianceVolume::metadata() { return mImpl->metadata; }
 const VolumeMetadata& IrradianceVolume::metadata() const { return mImpl->metadata; }
 
 std::size_t IrradianceVolume::memoryBytes() const
 {
     const Topology& t = *mImpl->topology;
-    return mImpl->records.size() * sizeof(Color)
+    return mImpl->records.size() * sizeof(Color) + mImpl->offsets.size() * sizeof(Vec3f)
+        + mImpl->cutOf.size() * sizeof(std::int32_t) + mImpl->cuts.size() * sizeof(CellVisibility)
         + (mImpl->validity.size() + mImpl->distance.size()) * sizeof(float)
         + t.cells.size() * sizeof(Cell) + t.positions.size() * sizeof(Coord)
         + t.keys.size() * sizeof(std::uint64_t) + t.index->memUsage();

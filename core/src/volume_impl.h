@@ -57,6 +57,9 @@ struct IrradianceVolume::Impl {
     double spacing = 1;
     std::vector<Color> records; // sampleCount × stride()
     std::vector<float> validity, distance;
+    std::vector<Vec3f> offsets; // empty: all zero
+    std::vector<std::int32_t> cutOf; // cell → index in cuts, −1: uncut; empty: none is cut
+    std::vector<CellVisibility> cuts;
     VolumeMetadata metadata;
 
     std::size_t stride() const

@@ -5,6 +5,7 @@
 #include <lumivdb/core/sh.h>
 
 #include <catch2/catch.hpp>
+#include <hwy/highway.h>
 
 #include <algorithm>
 #include <limits>
@@ -260,6 +261,68 @@ TEST_CASE("colour channels rotate alike", "[sh][rotation]")
         rotation.apply(one.data(), turned.data());
         for (std::size_t i = 0; i < 16; ++i)
             REQUIRE(out[i][channel] == static_cast<float>(turned[i])); // one rounding
+    }
+}
+
+TEST_CASE("a rotation used once is the one of the matrices", "[sh][rotation]")
+{
+    CounterRng rng(29);
+    std::vector<Mat3d> rotations = cubeRotations();
+    for (int k = 0; k < 200; ++k) rotations.push_back(randomRotation(rng));
+    // Where z hardly moves, or turns over, the angles about z are ill-defined.
+    for (double angle : {1e-16, 1e-9, 1e-5, kPi - 1e-9})
+        rotations.push_back(
+            rotationAbout(Vec3d(0.6, 0.8, 0), angle) * rotationAbout(Vec3d(0, 0, 1), 100 * angle));
+    for (int bands = 1; bands <= kMaxBands; ++bands) {
+        const auto n = static_cast<std::size_t>(coefficientCount(bands));
+        for (const Mat3d& R : rotations) {
+            const ShRotation rotation(bands, R);
+            auto c = randomCoefficients(rng, coefficientCount(bands));
+            std::vector<double> expected(n);
+            rotation.apply(c.data(), expected.data());
+            rotateSh(bands, R, c.data(), c.data());
+            std::vector<Color> L(n), turned(n);
+            for (Color& v : L) v = Color(rng.next(), -rng.next(), 2.0f * rng.next());
+            rotation.apply(L.data(), turned.data());
+            rotateSh(bands, R, L.data(), L.data());
+            for (std::size_t i = 0; i < n; ++i) {
+                REQUIRE(std::abs(c[i] - expected[i]) < 2e-14);
+                for (int k = 0; k < 3; ++k) REQUIRE(std::abs(L[i][k] - turned[i][k]) < 5e-7);
+            }
+        }
+    }
+    double c[36] = {};
+    REQUIRE_THROWS_AS(rotateSh(3, Mat3d() * 1.001, c, c), Error);
+    REQUIRE_THROWS_AS(rotateSh(0, Mat3d(), c, c), Error);
+}
+
+TEST_CASE("every instruction set rotates to the same bits", "[sh][rotation]")
+{
+    CounterRng rng(30);
+    const Mat3d R = randomRotation(rng);
+    const auto c = randomCoefficients(rng, 36);
+    std::vector<Color> L(36);
+    for (Color& v : L) v = Color(rng.next(), -rng.next(), 2.0f * rng.next());
+    for (int bands = 3; bands <= kMaxBands; ++bands) {
+        const ShRotation rotation(bands, R);
+        std::vector<double> firstOnce(36), firstApplied(36), once(36), applied(36);
+        std::vector<Color> firstColors(36, Color(0.0f)), colors(36, Color(0.0f));
+        const auto rotate = [&](auto& doubles, auto& matrix, auto& all) {
+            rotateSh(bands, R, c.data(), doubles.data());
+            rotation.apply(c.data(), matrix.data());
+            rotation.apply(L.data(), all.data());
+        };
+        rotate(firstOnce, firstApplied, firstColors);
+        for (std::int64_t left = hwy::SupportedTargets(); left != 0; left &= left - 1) {
+            hwy::SetSupportedTargetsForTest(left); // the best ones go first
+            hwy::GetChosenTarget().Update(hwy::SupportedTargets());
+            rotate(once, applied, colors);
+            REQUIRE(once == firstOnce);
+            REQUIRE(applied == firstApplied);
+            REQUIRE(colors == firstColors);
+        }
+        hwy::SetSupportedTargetsForTest(0);
+        hwy::GetChosenTarget().DeInit();
     }
 }
 

@@ -289,7 +289,7 @@ TEST_CASE("the widest volume: both ends of the lattice and of the keys", "[volum
     CHECK(b.samplePosition(15) == Coord(last + 1));
 }
 
-TEST_CASE("clone is deep, cloneTopology keeps the shape only", "[volume]")
+TEST_CASE("clone is deep, cloneTopology keeps all but the records", "[volume]")
 {
     IrradianceVolume v = uniformVolume(
         3, GradientStorage::PerCoefficient, {0, 0, 0}, {3, 3, 3}, latticeTransform(0.25));
@@ -312,7 +312,15 @@ TEST_CASE("clone is deep, cloneTopology keeps the shape only", "[volume]")
     CHECK(copy.hasGradients());
     CHECK(copy.cellCount() == v.cellCount());
 
+    copy.setOffsets(std::vector<Vec3f>(copy.sampleCount(), Vec3f(0.125f)));
+    CellVisibility cut;
+    cut.masks = 0x0f;
+    copy.setVisibility({{4, cut}});
     const IrradianceVolume shape = copy.cloneTopology(5, GradientStorage::None);
+    CHECK(shape.offset(7) == Vec3f(0.125f));
+    REQUIRE(shape.visibility(4));
+    CHECK(*shape.visibility(4) == cut);
+    CHECK(shape.visibility(5) == nullptr);
     CHECK(shape.bands() == 5);
     CHECK_FALSE(shape.hasGradients());
     CHECK(shape.sampleCount() == copy.sampleCount());

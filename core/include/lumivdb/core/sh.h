@@ -54,6 +54,27 @@ void evalShBasis(int bands, const Vec3f& dir, float* y);
 void evalShBasisBatch(
     int bands, std::size_t count, const float* x, const float* yy, const float* z, float* y);
 
+/// What the texels of a cube map stand for.
+enum class CubeTexels {
+    Areas, ///< radiance that is constant over each texel: the integral of that function
+    /// radiance at each texel's centre: Σ L Y(centre) ΔΩ with the texels' exact solid angles
+    Centres
+};
+constexpr int kMaxCubeMapSize = 32768;
+
+/// Projects a cube map: @a out[bands²] = ∫ L Y_i dω.
+///
+/// @a faces are those along +X, −X, +Y, −Y, +Z, −Z, each @a size × @a size texels of linear RGB,
+/// row by row from the top. Texel centre (u, v), u to the right and v downwards in [−1, 1], looks
+/// along (1, −v, −u), (−1, −v, u), (u, 1, v), (u, −1, −v), (u, −v, 1), (−u, −v, −1): the directions
+/// that OpenGL, Vulkan and Direct3D look a cube map up with. Texels are used as they are, negative
+/// and non-finite ones too. Sums in double; the same bits on every machine.
+/// @throws Error(Usage) for bands outside 1 … 6, sizes outside 1 … kMaxCubeMapSize, null faces.
+void projectCubeMap(int bands, int size, const std::array<const Color*, 6>& faces, Vec3d* out,
+    CubeTexels texels = CubeTexels::Areas);
+void projectCubeMap(int bands, int size, const std::array<const Color*, 6>& faces, Color* out,
+    CubeTexels texels = CubeTexels::Areas);
+
 /// Value of the expanded function at @a dir: Σ c_i Y_i(dir).
 Color evalSh(int bands, const Color* c, const Vec3f& dir);
 double evalSh(int bands, const double* c, const Vec3d& dir);
@@ -117,8 +138,13 @@ public:
 
 private:
     int mBands;
-    std::vector<double> mBlocks; // blocks of (2l+1)², l = 0 … bands−1, row-major, end to end
+    std::vector<double> mBlocks; // blocks of (2l+1)², l = 0 … bands−1, column by column
 };
+
+/// ShRotation(bands, R).apply(in, out) to rounding, without building the matrices: faster for a
+/// rotation that is used once. In place is allowed. @throws Error(Usage) like ShRotation.
+void rotateSh(int bands, const Mat3d& R, const double* in, double* out);
+void rotateSh(int bands, const Mat3d& R, const Color* in, Color* out);
 
 /// The seven float4 constants of the DirectX/seed "cAr…cC" irradiance shader.
 ///

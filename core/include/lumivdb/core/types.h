@@ -28,6 +28,12 @@ using Color = Imath::V3f;
 /// Integer lattice point ("voxel units").
 using Coord = Imath::V3i;
 
+/// Lattice cells with lower ≤ origin < upper; as a region: from lattice point lower to upper.
+struct LatticeBox {
+    Coord lower{0, 0, 0}, upper{0, 0, 0};
+    bool operator==(const LatticeBox& o) const { return lower == o.lower && upper == o.upper; }
+};
+
 /// Rec. 709 relative luminance weights.
 inline float luminance(const Color& c) { return 0.2126f * c.x + 0.7152f * c.y + 0.0722f * c.z; }
 

@@ -23,7 +23,9 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace lumivdb {
@@ -50,6 +52,42 @@ struct Cell {
     SampleId corners[8];
 };
 
+/// Who sees whom in a cell that geometry cuts. Three planes divide the cell into eight regions; each
+/// region has a mask of the corners that are seen from it. Where no wall suggests better ones the
+/// planes are the cell's three middle planes, and the regions its octants; a plane laid into a wall
+/// keeps what is before the wall from what is behind it exactly, however the wall lies in the cell.
+///
+/// Positions are cell coordinates t ∈ [0,1]³ along the lattice's axes, so a rotated volume keeps
+/// its masks. The same planes and masks in every cell of a wall keep interpolation continuous
+/// along the wall.
+struct CellVisibility {
+    /// Unit normals; a plane is normal · (t − ½) = offset.
+    Vec3f normal[3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+    float offset[3] = {0, 0, 0};
+    /// Byte r: corners that region r sees, bit i for corner i.
+    std::uint64_t masks = ~std::uint64_t{0};
+
+    /// Region of @a t: bit k set on the plane k or on the side its normal points to.
+    int region(const Vec3f& t) const
+    {
+        const Vec3f c = t - Vec3f(0.5f);
+        int r = 0;
+        for (int k = 0; k < 3; ++k) r |= normal[k].dot(c) >= offset[k] ? 1 << k : 0;
+        return r;
+    }
+    /// Mask of the corners seen from @a t.
+    std::uint8_t corners(const Vec3f& t) const
+    {
+        return static_cast<std::uint8_t>(masks >> (8 * region(t)));
+    }
+    bool operator==(const CellVisibility& o) const
+    {
+        for (int k = 0; k < 3; ++k)
+            if (normal[k] != o.normal[k] || offset[k] != o.offset[k]) return false;
+        return masks == o.masks;
+    }
+};
+
 enum class GradientStorage { None, PerCoefficient };
 
 /// What a volume is of and how it came to be; travels with the file on every grid.
@@ -65,6 +103,8 @@ struct VolumeMetadata {
     std::uint64_t raysPerSample = 0;
     std::string options; ///< the command line that reproduces it
     std::string sceneHash; ///< content hash of scene and environment, hex
+    /// What was asked for, where cells reach beyond it; see IrradianceVolume::latticeBounds().
+    std::optional<LatticeBox> bounds;
 };
 
 /// Samples, cells and the records of one volume. Moves, does not copy implicitly: see clone().
@@ -75,7 +115,8 @@ public:
     IrradianceVolume& operator=(IrradianceVolume&&) noexcept;
     ~IrradianceVolume();
     IrradianceVolume clone() const;
-    /// The same topology and lattice with another record shape, all values zero, validity 1.
+    /// The same topology, lattice, offsets, visibility and metadata with another record shape, all
+    /// values zero, validity 1.
     IrradianceVolume cloneTopology(int bands, GradientStorage gradients) const;
 
     int bands() const;
@@ -111,6 +152,10 @@ public:
     Coord maxLattice() const;
     /// World box around all samples.
     Box3d worldBounds() const;
+    /// The region the volume is meant for: metadata().bounds, else from minLattice() to
+    /// maxLattice(). Coarse cells of an adaptive volume may reach beyond it; errors are stated for
+    /// what is inside.
+    LatticeBox latticeBounds() const;
 
     /// Radiance coefficients of a sample: bands² colours, one contiguous record.
     Color* radiance(SampleId s);
@@ -126,6 +171,21 @@ public:
     float& distance(SampleId s);
     float distance(SampleId s) const;
     bool isValid(SampleId s) const { return validity(s) >= kValidThreshold; }
+
+    /// Where a sample was measured, relative to sampleWorld(), world units: samples inside geometry
+    /// or on a surface are moved off it. Zero for almost all. Gradients count from there.
+    bool hasOffsets() const;
+    Vec3f offset(SampleId s) const;
+    /// One per sample, or none at all. @throws Error(Usage) for another count.
+    void setOffsets(std::vector<Vec3f> offsets);
+    /// sampleWorld() + offset().
+    Vec3d measuredWorld(SampleId s) const { return sampleWorld(s) + Vec3d(offset(s)); }
+
+    /// Visibility inside cells that geometry cuts; null: every place in the cell sees every corner.
+    bool hasVisibility() const;
+    const CellVisibility* visibility(CellId id) const;
+    /// Replaces all of it. Each cell at most once, in any order.
+    void setVisibility(const std::vector<std::pair<CellId, CellVisibility>>& cut);
 
     VolumeMetadata& metadata();
     const VolumeMetadata& metadata() const;
