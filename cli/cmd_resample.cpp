@@ -54,6 +54,8 @@ private:
     std::optional<Box3d> mCrop;
     int mBands = 0; // 0: as they are
     bool mDropGradients = false;
+    int mLevels = 0;
+    double mTolerance = 0;
     double mScale = 1;
     std::optional<Mat4d> mTransform;
     std::string mUpAxis; // empty: as it is
@@ -84,7 +86,12 @@ void ResampleCommand::declareRecords(Arguments& arguments)
         "new distance between samples, scene units", "as it is");
     arguments.flag(
         "--uniform", mUniform, "one level of cells, of --spacing or the finest there is");
-    declareUniformLevels(arguments);
+    arguments.integer("--levels", mLevels, between(0, kMaxLevel),
+        "merges eight cells into one where nothing is lost, up to this many times; cells cut by "
+        "walls stay");
+    arguments.real("--tolerance", mTolerance, between(0, 1e30),
+        "what --levels may lose at a sample: RMS of irradiance over normals, relative to the "
+        "volume's mean irradiance");
     declareMode(arguments, mMode, "trilinear");
     arguments.box("--crop", mCrop, "keeps the cells in this box, in the input's axes");
     const auto bands = [this](const std::string& value) {
@@ -132,10 +139,11 @@ void ResampleCommand::declarePlace(Arguments& arguments)
 void ResampleCommand::declare(Arguments& arguments)
 {
     declareInputs(arguments);
-    arguments.describe("Steps in this order: join or add, crop, spacing, bands, gradients, scale, "
-                       "transform, up axis. Prints how far the result is from the input: relative "
-                       "RMS of irradiance over random points and normals, before it is scaled and "
-                       "moved, after rounding to 16 bits.");
+    arguments.describe(
+        "Steps in this order: join or add, crop, spacing, bands, gradients, "
+        "levels, scale, transform, up axis. Prints how far the result is from the input: relative "
+        "RMS of irradiance over random points and normals, before it is scaled and "
+        "moved, after rounding to 16 bits.");
     declareRecords(arguments);
     declarePlace(arguments);
     mOutput.declare(arguments);
@@ -158,6 +166,9 @@ void ResampleCommand::validate(const Arguments& arguments)
     }
     if (mInputs.size() > 1 && !mTerms.empty()) {
         failUsage("--add goes with one IN.vdb at most; join the others first.");
+    }
+    if (arguments.given("--tolerance") && mLevels == 0) {
+        failUsage("--tolerance has no effect without --levels; give how many levels to merge.");
     }
     if (arguments.given("--mode") && !mSpacing && !mUniform) {
         failUsage("--mode has no effect without --spacing or --uniform; give one of them.");
@@ -209,7 +220,7 @@ IrradianceVolume ResampleCommand::loadInput() const
     return mInputs.size() == 1 ? loadVolume(mInputs.front()) : loadJoin();
 }
 
-/// Crop, spacing, bands, gradients.
+/// Crop, spacing, bands, gradients, levels.
 IrradianceVolume ResampleCommand::reshape(const IrradianceVolume& input, Progress& progress)
 {
     IrradianceVolume volume = mCrop ? cropVolume(input, *mCrop) : input.clone();
@@ -225,6 +236,7 @@ IrradianceVolume ResampleCommand::reshape(const IrradianceVolume& input, Progres
     }
     if (mBands > 0 && mBands != volume.bands()) volume = withBands(volume, mBands);
     if (mDropGradients && volume.hasGradients()) volume = withoutGradients(volume);
+    if (mLevels > 0) volume = coarsenVolume(volume, mLevels, mTolerance);
     return volume;
 }
 

@@ -80,6 +80,8 @@ Json statisticsJson(const VolumeStatistics& s)
     json["channels"] = channelsJson(s);
     json["band_energy"] = s.bandEnergy;
     json["invalid_fraction"] = s.invalidFraction;
+    json["cut_cells"] = s.cutCells;
+    json["moved_samples"] = s.movedSamples;
     json["negative_irradiance_fraction"] = s.negativeIrradianceFraction;
     json["gradient"] = {{"p50", s.gradientP50}, {"p95", s.gradientP95}, {"max", s.gradientMax}};
     addMetadata(json, s.metadata);
@@ -122,8 +124,10 @@ std::string contentsTable(const VolumeStatistics& s)
         {"bands", std::to_string(s.bands)}, {"gradients", s.gradients ? "yes" : "no"},
         {"samples", grouped(s.samples)}, {"  without valid light", percent(s.invalidFraction)},
         {"  with negative irradiance", percent(s.negativeIrradianceFraction)},
-        {"cells by level", listOf(s.cellsByLevel)}, {"index tree", tilesText(s)},
-        {"spacing", rounded(s.spacing, 6)}, {"bounds", boundsText(s.bounds)}, {"up axis", m.upAxis},
+        {"  moved off surfaces", grouped(s.movedSamples)},
+        {"cells by level", listOf(s.cellsByLevel)}, {"  cut by walls", grouped(s.cutCells)},
+        {"index tree", tilesText(s)}, {"spacing", rounded(s.spacing, 6)},
+        {"bounds", boundsText(s.bounds)}, {"up axis", m.upAxis},
         {"file",
             humanBytes(s.fileBytes) + (s.half ? ", 16-bit" : ", 32-bit") + ", "
                 + rounded(s.bytesPerSample) + " bytes a sample"},

@@ -35,8 +35,10 @@ def inside(path):
     volume = blender_tools.import_volume(path)
     grids = volume.data.grids
     names = [grid.name for grid in grids]
-    expected = ["color", "density", "distance", "level"] + [f"sh_{i}" for i in range(9)]
-    assert names == expected + ["validity"], names  # Blender sorts by name
+    expected = ["color", "density", "distance", "level", "mask_0", "mask_1", "offset"]
+    expected += [f"sh_{i}" for i in range(9)] + ["validity"]
+    expected += ["wall_0", "wall_1", "wall_2", "wall_offset"]
+    assert names == expected, names  # Blender sorts by name
     assert grids[grids.active_index].name == "color", "the default grid is the preview"
     types = {grid.name: grid.data_type for grid in grids}
     assert types["sh_0"] == "VECTOR_FLOAT" and types["level"] == "INT", types

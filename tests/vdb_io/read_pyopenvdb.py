@@ -42,6 +42,7 @@ def main(program):
         # The module knows Float, Bool and Vec3S grids alone, so readAll() fails on `level` (Int32);
         # grids are read by name.
         names = ["color", "density", "validity", "distance"] + [f"sh_{i}" for i in range(9)]
+        names += ["offset", "wall_0", "wall_1", "wall_2", "wall_offset"]
         by_name = {name: pyopenvdb.read(path, name) for name in names}
 
         for name, grid in by_name.items():
@@ -60,6 +61,14 @@ def main(program):
         assert value("sh_0", (12, 10, 9)) == (13.0, 12.0, 12.0), "the upper corner sample"
         assert value("validity", (2, 3, 4)) == 0.0 and value("validity", point) == 1.0
         assert value("distance", (0, 0, 0)) == math.inf and value("distance", point) == 2.5
+        assert value("offset", (1, 2, 3)) == (0.0, 0.125, -0.5)
+        assert value("offset", point) == (0.0, 0.0, 0.0)
+        wall = value("wall_0", point)
+        assert max(abs(a - b) for a, b in zip(wall, (0, 0.6, 0.8))) < 1e-7, wall
+        assert value("wall_1", point) == (0.0, 1.0, 0.0)
+        assert value("wall_offset", point) == (0.0, 0.0, -0.25)
+        assert value("wall_0", (0, 0, 0)) == (0.0, 0.0, 0.0), "a cell without walls"
+        assert by_name["sh_0"].metadata["lumivdb_cut_cells"] == 1
         assert by_name["sh_0"].transform.indexToWorld(point) == (3.5, 1.0, 2.5)
         assert by_name["sh_0"].activeVoxelCount() == 13 * 11 * 10
 

@@ -256,11 +256,11 @@ TEST_CASE("preview voxels of a large volume become coarser")
 {
     const TempFolder folder;
     VolumeBuilder builder(1, GradientStorage::None, latticeTransform(1.0));
-    builder.addCell({0, 0, 0}, 9); // 512³ lattice voxels: 2^27, so voxels of 2 steps: 2^24
+    builder.addCell({0, 0, 0}, 9); // 512³ lattice voxels, 8 samples: 2^27, so 2^18 of 8 steps
     saveVolume(builder.build(), folder.file("a.vdb"));
     auto grids = gridsOf(folder.file("a.vdb"));
-    CHECK(grids.at("color")->voxelSize().x() == 2.0);
-    CHECK(grids.at("color")->activeVoxelCount() == 1u << 24);
+    CHECK(grids.at("color")->voxelSize().x() == 8.0);
+    CHECK(grids.at("color")->activeVoxelCount() == 1u << 18);
 }
 
 namespace {
@@ -279,6 +279,14 @@ IrradianceVolume sampleForReaders()
         volume.validity(s) = p == Coord(2, 3, 4) ? 0.0f : 1.0f;
         volume.distance(s) = p == Coord(0, 0, 0) ? std::numeric_limits<float>::infinity() : 2.5f;
     }
+    CellVisibility wall;
+    wall.normal[0] = Vec3f(0, 0.6f, 0.8f);
+    wall.offset[2] = -0.25f;
+    wall.masks = 0x8877665544332211ull;
+    volume.setVisibility({{volume.findCell({7, 2, 5}), wall}});
+    std::vector<Vec3f> offsets(volume.sampleCount(), Vec3f(0.0f));
+    offsets[static_cast<std::size_t>(volume.findSample({1, 2, 3}))] = Vec3f(0, 0.125f, -0.5f);
+    volume.setOffsets(offsets);
     return volume;
 }
 

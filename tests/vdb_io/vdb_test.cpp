@@ -70,6 +70,31 @@ void fillRandom(IrradianceVolume& volume, std::uint64_t seed, float magnitude)
     meta.sceneHash = "0123456789abcdef";
 }
 
+void cutAndMove(IrradianceVolume& volume, std::uint64_t seed)
+{
+    CounterRng rng(seed);
+    const auto number = [&rng] { return 2 * rng.next() - 1; };
+    std::vector<std::pair<CellId, CellVisibility>> cuts;
+    for (std::size_t i = 0; i < volume.cellCount(); ++i) {
+        if (rng.next() < 0.5f && i > 0) continue;
+        CellVisibility v;
+        for (int k = 0; k < 3; ++k) {
+            v.normal[k] = Vec3f(number(), number(), number()).normalized();
+            v.offset[k] = number();
+        }
+        v.masks = rng.bits();
+        cuts.emplace_back(static_cast<CellId>(i), v);
+    }
+    volume.setVisibility(cuts);
+    std::vector<Vec3f> offsets(volume.sampleCount(), Vec3f(0.0f));
+    for (Vec3f& o : offsets)
+        if (rng.next() < 0.3f) o = Vec3f(number(), number(), number()) * 1e-3f;
+    offsets[0] = Vec3f(-0.0f, 1e-40f, 0.25f);
+    volume.setOffsets(std::move(offsets));
+    volume.metadata().bounds
+        = LatticeBox{volume.minLattice(), volume.maxLattice() - Coord(1, 0, 0)};
+}
+
 IrradianceVolume uniformVolume(
     const Coord& lower, const Coord& upper, int bands, bool gradients, double spacing)
 {
@@ -131,6 +156,7 @@ std::string metadataDifference(const VolumeMetadata& a, const VolumeMetadata& b)
     if (a.seed != b.seed) return "seed";
     if (a.raysPerSample != b.raysPerSample) return "raysPerSample";
     if (a.options != b.options) return "options";
+    if (!(a.bounds == b.bounds)) return "bounds";
     return a.sceneHash != b.sceneHash ? "sceneHash" : "";
 }
 
@@ -145,7 +171,12 @@ std::string difference(const IrradianceVolume& a, const IrradianceVolume& b)
     for (std::size_t i = 0; i < a.cellCount(); ++i) {
         const Cell &x = a.cell(static_cast<CellId>(i)), &y = b.cell(static_cast<CellId>(i));
         if (!same(&x, &y, sizeof(Cell))) return "cell " + std::to_string(i);
+        const CellVisibility *va = a.visibility(static_cast<CellId>(i)),
+                             *vb = b.visibility(static_cast<CellId>(i));
+        if (va && vb ? !same(va, vb, sizeof *va) : va != vb)
+            return "visibility of cell " + std::to_string(i);
     }
+    if (a.hasOffsets() != b.hasOffsets()) return "offsets";
     const auto bytes = sizeof(Color) * static_cast<std::size_t>(a.coefficients());
     for (std::size_t i = 0; i < a.sampleCount(); ++i) {
         const auto s = static_cast<SampleId>(i);
@@ -157,6 +188,8 @@ std::string difference(const IrradianceVolume& a, const IrradianceVolume& b)
         const float va = a.validity(s), vb = b.validity(s), da = a.distance(s), db = b.distance(s);
         if (!same(&va, &vb, sizeof va)) return "validity" + where;
         if (!same(&da, &db, sizeof da)) return "distance" + where;
+        const Vec3f oa = a.offset(s), ob = b.offset(s);
+        if (!same(&oa, &ob, sizeof oa)) return "offset" + where;
     }
     return metadataDifference(a.metadata(), b.metadata());
 }

@@ -1,10 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "channels.h"
 
+#include "cuts.h"
+
 #include <lumivdb/core/error.h>
 #include <lumivdb/vdb_io/volume_file.h>
 
 #include <cmath>
+#include <locale>
+#include <sstream>
 
 namespace lumivdb {
 
@@ -40,6 +44,88 @@ std::vector<ColorChannel> colorChannels(int bands, bool gradients)
     return channels;
 }
 
+const std::vector<std::string>& cutGridNames()
+{
+    static const std::vector<std::string> names{
+        kWallGrids[0], kWallGrids[1], kWallGrids[2], kWallOffsetGrid, kMaskGrids[0], kMaskGrids[1]};
+    return names;
+}
+
+namespace {
+
+std::string boundsText(const LatticeBox& box)
+{
+    std::string text;
+    for (const Coord& c : {box.lower, box.upper})
+        for (int a = 0; a < 3; ++a) text += (text.empty() ? "" : " ") + std::to_string(c[a]);
+    return text;
+}
+
+LatticeBox parseBounds(const std::string& text, const std::string& where)
+{
+    LatticeBox box;
+    std::istringstream in(text);
+    in.imbue(std::locale::classic());
+    bool good = true;
+    for (Coord* c : {&box.lower, &box.upper})
+        for (int a = 0; a < 3; ++a) good = static_cast<bool>(in >> (*c)[a]) && good;
+    for (int a = 0; a < 3 && good; ++a) {
+        good = box.lower[a] < box.upper[a] && box.lower[a] >= -kMaxLattice
+            && box.upper[a] <= kMaxLattice;
+    }
+    std::string rest;
+    if (!good || in >> rest) {
+        throw Error(ErrorCode::Input,
+            where + " has 'lumivdb_lattice_bounds' \"" + text
+                + "\"; six whole numbers are needed, the lower corner first.");
+    }
+    return box;
+}
+
+/// An entry that only some volumes have.
+template <typename T>
+std::optional<T> optionalEntry(
+    const openvdb::MetaMap& map, const std::string& key, const std::string& where)
+{
+    if (!map[kMetadataPrefix + key]) return std::nullopt;
+    return require<T>(map, key, where);
+}
+
+std::optional<std::int64_t> optionalCount(
+    const openvdb::MetaMap& map, const std::string& key, const std::string& where)
+{
+    const auto count = optionalEntry<std::int64_t>(map, key, where);
+    if (count && *count < 0)
+        throw Error(ErrorCode::Input, where + " has a negative '" + kMetadataPrefix + key + "'.");
+    return count;
+}
+
+void addOptional(const IrradianceVolume& volume, openvdb::MetaMap& map)
+{
+    using namespace openvdb;
+    const auto add = [&map](const char* key, const Metadata& value) {
+        map.insertMeta(std::string(kMetadataPrefix) + key, value);
+    };
+    if (volume.hasVisibility()) {
+        std::int64_t cut = 0;
+        for (std::size_t i = 0; i < volume.cellCount(); ++i) {
+            const CellVisibility* v = volume.visibility(static_cast<CellId>(i));
+            cut += v && saysAnything(*v);
+        }
+        add("cut_cells", Int64Metadata(cut));
+    }
+    if (volume.hasOffsets()) {
+        std::int64_t moved = 0;
+        for (std::size_t s = 0; s < volume.sampleCount(); ++s)
+            moved += volume.offset(static_cast<SampleId>(s)) != Vec3f(0.0f);
+        add("moved_samples", Int64Metadata(moved));
+    }
+    if (volume.metadata().bounds)
+        add("lattice_bounds", StringMetadata(boundsText(*volume.metadata().bounds)));
+}
+
+} // namespace
+
 openvdb::MetaMap makeMetadata(const IrradianceVolume& volume)
 {
     using namespace openvdb;
@@ -63,6 +149,7 @@ openvdb::MetaMap makeMetadata(const IrradianceVolume& volume)
     add("rays", Int64Metadata(static_cast<std::int64_t>(meta.raysPerSample)));
     add("options", StringMetadata(meta.options));
     add("scene_hash", StringMetadata(meta.sceneHash));
+    addOptional(volume, map);
     return map;
 }
 
@@ -111,6 +198,10 @@ FileMetadata parseMetadata(const openvdb::MetaMap& map, const std::string& where
     meta.raysPerSample = static_cast<std::uint64_t>(require<std::int64_t>(map, "rays", where));
     meta.options = require<std::string>(map, "options", where);
     meta.sceneHash = require<std::string>(map, "scene_hash", where);
+    file.cutCells = optionalCount(map, "cut_cells", where).value_or(0);
+    file.movedSamples = optionalCount(map, "moved_samples", where);
+    const auto bounds = optionalEntry<std::string>(map, "lattice_bounds", where);
+    if (bounds) meta.bounds = parseBounds(*bounds, where);
     return file;
 }
 

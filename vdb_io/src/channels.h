@@ -8,6 +8,7 @@
 
 #include <openvdb/openvdb.h>
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -16,6 +17,7 @@ namespace lumivdb {
 constexpr const char* kLevelGrid = "level";
 constexpr const char* kValidityGrid = "validity";
 constexpr const char* kDistanceGrid = "distance";
+constexpr const char* kOffsetGrid = "offset";
 constexpr const char* kColorGrid = "color";
 constexpr const char* kDensityGrid = "density";
 constexpr const char* kMetadataPrefix = "lumivdb_";
@@ -31,6 +33,14 @@ struct ColorChannel {
 /// sh_0 … sh_{n−1}, then for every coefficient sh_i_dx, sh_i_dy, sh_i_dz where there are gradients.
 std::vector<ColorChannel> colorChannels(int bands, bool gradients);
 
+/// Grids of CellVisibility, all or none: normals, offsets of the three planes, and the two words of
+/// the masks, low word first. They hold the covering cell's at every voxel.
+constexpr const char* kWallGrids[3] = {"wall_0", "wall_1", "wall_2"};
+constexpr const char* kWallOffsetGrid = "wall_offset";
+constexpr const char* kMaskGrids[2] = {"mask_0", "mask_1"};
+/// Names of the six.
+const std::vector<std::string>& cutGridNames();
+
 /// The `lumivdb_` metadata of @a volume.
 openvdb::MetaMap makeMetadata(const IrradianceVolume& volume);
 
@@ -39,6 +49,8 @@ struct FileMetadata {
     int version = 0;
     int bands = 0;
     bool gradients = false;
+    std::int64_t cutCells = 0; ///< cells with visibility; 0: no such grids
+    std::optional<std::int64_t> movedSamples; ///< with an offset other than 0; none: no such grid
     VolumeMetadata volume;
 };
 
@@ -58,6 +70,10 @@ std::string pointText(const Coord& p);
 openvdb::Int32Tree::Ptr makeSourceTree(const IrradianceVolume& volume);
 /// Same shape, levels of the covering cells, −1 at samples that no cell covers.
 openvdb::Int32Tree::Ptr makeLevelTree(
+    const IrradianceVolume& volume, const openvdb::Int32Tree& source);
+
+/// Same shape, ids of the covering cells where they have visibility, −1 elsewhere.
+openvdb::Int32Tree::Ptr makeCutTree(
     const IrradianceVolume& volume, const openvdb::Int32Tree& source);
 
 openvdb::math::Transform::Ptr makeTransform(const Mat4d& indexToWorld);

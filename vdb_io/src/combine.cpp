@@ -5,6 +5,7 @@
 
 #include <lumivdb/core/error.h>
 #include <lumivdb/core/random.h>
+#include <lumivdb/core/volume_fill.h>
 
 #include <tbb/parallel_for.h>
 
@@ -32,6 +33,11 @@ std::string pointText(const Coord& p)
         "Input " + std::to_string(input) + " does not go with input 0: " + what + ".");
 }
 
+bool sameVisibility(const CellVisibility* a, const CellVisibility* b)
+{
+    return a && b ? *a == *b : a == b;
+}
+
 void checkShape(const Volumes& volumes)
 {
     if (volumes.empty()) throw Error(ErrorCode::Usage, "There is no volume to combine; give one.");
@@ -55,6 +61,41 @@ bool sameTopology(const IrradianceVolume& a, const IrradianceVolume& b)
     return true;
 }
 
+/// Measured in the same places, cells cut by the same walls: else a sum is of two scenes.
+void checkPlaces(const IrradianceVolume& first, const IrradianceVolume& other, std::size_t input)
+{
+    for (std::size_t i = 0; i < first.sampleCount(); ++i) {
+        const auto s = static_cast<SampleId>(i);
+        if (first.offset(s) != other.offset(s)) {
+            refuse(input,
+                "the sample at lattice point " + pointText(first.samplePosition(s))
+                    + " was moved to another place");
+        }
+    }
+    for (std::size_t i = 0; i < first.cellCount(); ++i) {
+        const auto id = static_cast<CellId>(i);
+        if (!sameVisibility(first.visibility(id), other.visibility(id))) {
+            refuse(input,
+                "what the cell at lattice point " + pointText(first.cell(id).origin)
+                    + " sees differs");
+        }
+    }
+}
+
+/// Around the bounds of all.
+LatticeBox aroundAll(const Volumes& volumes)
+{
+    LatticeBox box = volumes[0]->latticeBounds();
+    for (const IrradianceVolume* volume : volumes) {
+        const LatticeBox other = volume->latticeBounds();
+        for (int a = 0; a < 3; ++a) {
+            box.lower[a] = std::min(box.lower[a], other.lower[a]);
+            box.upper[a] = std::max(box.upper[a], other.upper[a]);
+        }
+    }
+    return box;
+}
+
 /// The first volume's metadata, less what the others say differently.
 VolumeMetadata agreedMetadata(const Volumes& volumes)
 {
@@ -71,6 +112,7 @@ VolumeMetadata agreedMetadata(const Volumes& volumes)
     if (!agree(&VolumeMetadata::seed)) meta.seed = 0;
     if (!agree(&VolumeMetadata::raysPerSample)) meta.raysPerSample = 0;
     if (!agree(&VolumeMetadata::errorAsked)) meta.errorAsked = 0;
+    if (!agree(&VolumeMetadata::bounds)) meta.bounds = aroundAll(volumes);
     if (!agree(&VolumeMetadata::errorReached) || !agree(&VolumeMetadata::errorConfidence))
         forgetError(meta);
     return meta;
@@ -106,6 +148,7 @@ IrradianceVolume addVolumes(
         if (volumes[i]->metadata().upAxis != volumes[0]->metadata().upAxis)
             refuse(i, "the up axes differ");
         if (!sameTopology(*volumes[0], *volumes[i])) refuse(i, "the cells differ");
+        checkPlaces(*volumes[0], *volumes[i], i);
     }
     IrradianceVolume out = volumes[0]->clone();
     const int n = out.coefficients();
@@ -122,6 +165,48 @@ IrradianceVolume addVolumes(
     return out;
 }
 
+namespace {
+
+/// Whether invalid samples hold what fillInvalid() makes of the valid ones.
+bool isFilled(const IrradianceVolume& volume)
+{
+    std::size_t invalid = 0;
+    for (std::size_t i = 0; i < volume.sampleCount(); ++i)
+        invalid += !volume.isValid(static_cast<SampleId>(i));
+    if (invalid == 0) return true;
+    IrradianceVolume filled = volume.clone();
+    fillInvalid(filled);
+    for (std::size_t i = 0; i < volume.sampleCount(); ++i) {
+        const auto s = static_cast<SampleId>(i);
+        if (!sameRecord(volume, s, filled, s, true)) return false;
+    }
+    return true;
+}
+
+/// A cell that several volumes have sees the same in all.
+void checkCommonCells(const Volumes& volumes, const IrradianceVolume& all)
+{
+    std::vector<std::pair<std::size_t, CellId>> first(all.cellCount(), {volumes.size(), kNoCell});
+    for (std::size_t v = 0; v < volumes.size(); ++v) {
+        for (std::size_t i = 0; i < volumes[v]->cellCount(); ++i) {
+            const auto id = static_cast<CellId>(i);
+            const Coord origin = volumes[v]->cell(id).origin;
+            auto& known = first[static_cast<std::size_t>(all.findCell(origin))];
+            if (known.second == kNoCell) {
+                known = {v, id};
+            } else if (!sameVisibility(volumes[known.first]->visibility(known.second),
+                           volumes[v]->visibility(id))) {
+                refuse(v,
+                    "what the shared cell at lattice point " + pointText(origin) + " sees differs");
+            }
+        }
+    }
+}
+
+} // namespace
+
+/// Values of filled samples come from what is around them, which is more in the whole: they are
+/// filled again then.
 IrradianceVolume joinVolumes(const std::vector<const IrradianceVolume*>& volumes)
 {
     checkShape(volumes);
@@ -136,6 +221,10 @@ IrradianceVolume joinVolumes(const std::vector<const IrradianceVolume*>& volumes
         }
     }
     IrradianceVolume out = builder.build();
+    checkCommonCells(volumes, out);
+    copyPlaces(volumes, out);
+    const bool refill = std::all_of(volumes.begin(), volumes.end(),
+        [](const IrradianceVolume* volume) { return isFilled(*volume); });
     std::vector<bool> filled(out.sampleCount(), false);
     for (std::size_t v = 0; v < volumes.size(); ++v) {
         const IrradianceVolume& volume = *volumes[v];
@@ -146,11 +235,12 @@ IrradianceVolume joinVolumes(const std::vector<const IrradianceVolume*>& volumes
             if (!filled[t]) {
                 copyRecord(volume, s, out, t);
                 filled[t] = true;
-            } else if (!sameRecord(volume, s, out, t)) {
+            } else if (!sameRecord(volume, s, out, t, volume.isValid(s) || !refill)) {
                 refuse(v, "the shared sample at lattice point " + pointText(p) + " differs");
             }
         }
     }
+    if (refill) fillInvalid(out);
     out.metadata() = agreedMetadata(volumes);
     return out;
 }
@@ -170,6 +260,19 @@ std::array<Vec3f, kNormals> uniformNormals()
             = Vec3f(Vec3d(r * std::cos(golden * i), r * std::sin(golden * i), z));
     }
     return normals;
+}
+
+/// World box around what a volume is meant for.
+Box3d boundsBox(const IrradianceVolume& volume)
+{
+    const LatticeBox bounds = volume.latticeBounds();
+    Box3d box;
+    for (int i = 0; i < 8; ++i) {
+        const Vec3d corner(i & 1 ? bounds.upper.x : bounds.lower.x,
+            i & 2 ? bounds.upper.y : bounds.lower.y, i & 4 ? bounds.upper.z : bounds.lower.z);
+        box.extendBy(corner * volume.indexToWorld());
+    }
+    return box;
 }
 
 struct PointError {
@@ -198,7 +301,7 @@ PointError errorAt(const VolumeSampler& a, const VolumeSampler& b, const Vec3d& 
 double compareVolumes(
     const IrradianceVolume& a, const IrradianceVolume& b, std::size_t points, std::uint64_t seed)
 {
-    const Box3d boxA = a.worldBounds(), boxB = b.worldBounds();
+    const Box3d boxA = boundsBox(a), boxB = boundsBox(b);
     Vec3d lower, upper;
     for (int k = 0; k < 3; ++k) {
         lower[k] = std::max(boxA.min[k], boxB.min[k]);

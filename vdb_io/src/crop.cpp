@@ -5,6 +5,7 @@
 
 #include <lumivdb/core/error.h>
 
+#include <algorithm>
 #include <cmath>
 
 namespace lumivdb {
@@ -61,6 +62,20 @@ private:
     std::vector<Vec3d> mAxes;
 };
 
+/// What of @a bounds the cropped volume holds; none where it holds nothing of them.
+std::optional<LatticeBox> commonBounds(
+    const IrradianceVolume& out, const std::optional<LatticeBox>& bounds)
+{
+    if (!bounds) return std::nullopt;
+    LatticeBox box;
+    for (int a = 0; a < 3; ++a) {
+        box.lower[a] = std::max(bounds->lower[a], out.minLattice()[a]);
+        box.upper[a] = std::min(bounds->upper[a], out.maxLattice()[a]);
+        if (box.lower[a] >= box.upper[a]) return std::nullopt;
+    }
+    return box;
+}
+
 } // namespace
 
 IrradianceVolume cropVolume(const IrradianceVolume& volume, const Box3d& box)
@@ -88,7 +103,9 @@ IrradianceVolume cropVolume(const IrradianceVolume& volume, const Box3d& box)
         const auto s = static_cast<SampleId>(volume.findSample(out.samplePosition(t)));
         copyRecord(volume, s, out, t);
     }
+    copyPlaces({&volume}, out);
     out.metadata() = volume.metadata();
+    out.metadata().bounds = commonBounds(out, volume.metadata().bounds);
     if (kept < volume.cellCount()) forgetError(out.metadata());
     return out;
 }

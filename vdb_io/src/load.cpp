@@ -60,7 +60,7 @@ VolumeLoader::VolumeLoader(const std::string& path, Progress* progress)
 bool VolumeLoader::isChannel(const std::string& name)
 {
     return name == kLevelGrid || name == kValidityGrid || name == kDistanceGrid
-        || name.rfind("sh_", 0) == 0;
+        || name == kOffsetGrid || CutReader::isGrid(name) || name.rfind("sh_", 0) == 0;
 }
 
 void VolumeLoader::fail(const std::string& sentence) const
@@ -86,7 +86,7 @@ void VolumeLoader::add(const openvdb::GridBase::Ptr& grid)
         makeVolume(*grid);
         takePending();
     } else if (mVolume) {
-        take(*grid);
+        take(grid);
     } else {
         mPending.push_back(grid);
     }
@@ -125,7 +125,11 @@ void VolumeLoader::makeVolume(const openvdb::GridBase& grid)
     checkLevels(level->tree());
     mSlots = std::make_unique<SampleSlots>(*mVolume, *mSource);
     mChannels = colorChannels(mFile.bands, mFile.gradients);
-    if (mProgress) mProgress->begin("read volume", mChannels.size() + 3);
+    if (mProgress) {
+        mProgress->begin("read volume",
+            mChannels.size() + 3 + (mFile.movedSamples ? 1 : 0)
+                + (mFile.cutCells > 0 ? cutGridNames().size() : 0));
+    }
     if (mProgress) mProgress->advance(1);
 }
 
@@ -152,12 +156,13 @@ void VolumeLoader::checkLevels(const Int32Tree& level) const
 
 void VolumeLoader::takePending()
 {
-    for (const openvdb::GridBase::Ptr& grid : mPending) take(*grid);
+    for (const openvdb::GridBase::Ptr& grid : mPending) take(grid);
     mPending.clear();
 }
 
-void VolumeLoader::take(const openvdb::GridBase& grid)
+void VolumeLoader::take(const openvdb::GridBase::ConstPtr& pointer)
 {
+    const openvdb::GridBase& grid = *pointer;
     const std::string name = grid.getName();
     const auto channel = std::find_if(mChannels.begin(), mChannels.end(),
         [&name](const ColorChannel& c) { return c.name == name; });
@@ -165,6 +170,10 @@ void VolumeLoader::take(const openvdb::GridBase& grid)
         takeColors(grid, *channel);
     } else if (name == kValidityGrid || name == kDistanceGrid) {
         takeScalars(grid);
+    } else if (name == kOffsetGrid) {
+        takeOffsets(grid);
+    } else if (CutReader::isGrid(name)) {
+        takeCut(pointer);
     }
     if (mProgress) mProgress->advance(1);
 }
@@ -223,6 +232,70 @@ void VolumeLoader::takeScalars(const openvdb::GridBase& grid)
     if (bad) fail(where(name) + " holds NaN or an impossible value; bake it again.");
 }
 
+void VolumeLoader::takeOffsets(const openvdb::GridBase& grid)
+{
+    checkChannel(grid);
+    const auto* vectors = dynamic_cast<const openvdb::Vec3SGrid*>(&grid);
+    if (!vectors) fail(where(kOffsetGrid) + " has type " + grid.valueType() + " instead of vec3s.");
+    if (!sameVoxels(vectors->tree(), *mSource))
+        fail(where(kOffsetGrid) + " and grid 'level' have different active voxels.");
+    std::vector<Vec3f> offsets(mVolume->sampleCount());
+    std::atomic<bool> bad{false};
+    mSlots->forSamples(vectors->tree(), [&](SampleId s, const openvdb::Vec3s& v) {
+        offsets[s] = Vec3f(v.x(), v.y(), v.z());
+        if (!std::isfinite(v.x()) || !std::isfinite(v.y()) || !std::isfinite(v.z())) bad = true;
+    });
+    if (bad) fail(where(kOffsetGrid) + " is NaN or infinite somewhere; bake it again.");
+    mVolume->setOffsets(std::move(offsets));
+}
+
+void VolumeLoader::takeCut(const openvdb::GridBase::ConstPtr& grid)
+{
+    const std::string name = grid->getName();
+    checkChannel(*grid);
+    const std::string wrong = mCuts.add(grid);
+    if (!wrong.empty()) fail(where(name) + " " + wrong + ".");
+    const auto* masks = dynamic_cast<const openvdb::Int32Grid*>(grid.get());
+    const auto* vectors = dynamic_cast<const openvdb::Vec3SGrid*>(grid.get());
+    if (masks ? !sameVoxels(masks->tree(), *mSource) : !sameVoxels(vectors->tree(), *mSource))
+        fail(where(name) + " and grid 'level' have different active voxels.");
+}
+
+/// Without these grids a volume would leak, so that a file that says it has them must.
+void VolumeLoader::applyCuts()
+{
+    if (!mCuts.any() && mFile.cutCells == 0) return;
+    for (const std::string& name : cutGridNames())
+        if (!mCuts.has(name)) fail(where(name) + " is missing; bake it again.");
+    const std::int64_t cut
+        = mCuts.apply(*mVolume, [this](const std::string& name, const Coord& origin) {
+              fail(where(name) + " is NaN or infinite at lattice point " + pointText(origin)
+                  + "; bake it again.");
+          });
+    if (cut != mFile.cutCells) {
+        fail(where(kMaskGrids[0]) + " and its neighbours divide " + std::to_string(cut)
+            + " cells where 'lumivdb_cut_cells' says " + std::to_string(mFile.cutCells)
+            + "; bake it again.");
+    }
+}
+
+void VolumeLoader::checkMoved() const
+{
+    if (mFile.movedSamples.has_value() != mVolume->hasOffsets()) {
+        fail(mFile.movedSamples ? where(kOffsetGrid) + " is missing; bake it again."
+                                : where(kOffsetGrid)
+                    + " is there without the metadata 'lumivdb_moved_samples'; bake it again.");
+    }
+    std::int64_t moved = 0;
+    for (std::size_t s = 0; s < mVolume->sampleCount() && mFile.movedSamples; ++s)
+        moved += mVolume->offset(static_cast<SampleId>(s)) != Vec3f(0.0f);
+    if (moved != mFile.movedSamples.value_or(0)) {
+        fail(where(kOffsetGrid) + " moves " + std::to_string(moved)
+            + " samples where 'lumivdb_moved_samples' says " + std::to_string(*mFile.movedSamples)
+            + "; bake it again.");
+    }
+}
+
 IrradianceVolume VolumeLoader::finish()
 {
     if (mSeen.empty()) {
@@ -236,6 +309,8 @@ IrradianceVolume VolumeLoader::finish()
     require(kValidityGrid);
     require(kDistanceGrid);
     for (const ColorChannel& channel : mChannels) require(channel.name);
+    applyCuts();
+    checkMoved();
     mSlots.reset();
     return std::move(*mVolume);
 }

@@ -4,6 +4,7 @@
 /// @file load.h
 /// Makes a volume of the grids of a file, whatever order they come in.
 
+#include "cuts.h"
 #include "transfer.h"
 
 #include <lumivdb/core/progress.h>
@@ -34,10 +35,14 @@ private:
     void makeVolume(const openvdb::GridBase& grid);
     void checkLevels(const openvdb::Int32Tree& level) const;
     void takePending();
-    void take(const openvdb::GridBase& grid);
+    void take(const openvdb::GridBase::ConstPtr& pointer);
     void checkChannel(const openvdb::GridBase& grid) const;
     void takeColors(const openvdb::GridBase& grid, const ColorChannel& channel);
     void takeScalars(const openvdb::GridBase& grid);
+    void takeOffsets(const openvdb::GridBase& grid);
+    void takeCut(const openvdb::GridBase::ConstPtr& grid);
+    void applyCuts();
+    void checkMoved() const;
 
     std::string mPath;
     Progress* mProgress;
@@ -50,6 +55,7 @@ private:
     std::vector<ColorChannel> mChannels;
     openvdb::Int32Tree::Ptr mSource;
     std::unique_ptr<SampleSlots> mSlots;
+    CutReader mCuts;
 };
 
 } // namespace lumivdb

@@ -16,6 +16,9 @@ namespace lumivdb {
 namespace {
 
 constexpr double kMaxVoxels = 16777216.0; // 2^24
+/// An adaptive volume's finest spacing would make a preview far larger than the volume itself.
+constexpr double kFewVoxels = 262144.0; // 2^18
+constexpr double kVoxelsPerSample = 8;
 constexpr float kMeanFactor = 0.28209479177387814f; // Y0
 
 /// The first band alone: E averaged over normals / π = π L00 Y00 / π = L00 Y00 needs no more.
@@ -83,7 +86,9 @@ double chooseStep(const IrradianceVolume& volume, double voxel)
         return step;
     }
     double step = 1;
-    while (voxels / (step * step * step) > kMaxVoxels) step *= 2;
+    const double limit = std::min(kMaxVoxels,
+        std::max(kFewVoxels, kVoxelsPerSample * static_cast<double>(volume.sampleCount())));
+    while (voxels / (step * step * step) > limit) step *= 2;
     return step;
 }
 

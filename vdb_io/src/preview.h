@@ -15,7 +15,8 @@ struct PreviewGrids {
     openvdb::FloatGrid::Ptr density; ///< its Rec. 709 luminance, not below 0
 };
 
-/// @a voxel world units; 0: the spacing, doubled until a grid has at most 2^24 voxels.
+/// @a voxel world units; 0: the spacing, doubled until a grid has at most 2^24 voxels and at
+/// most 2^18 or eight a sample, whichever is more.
 /// Voxels are leaf voxels (no tiles); the value at index i is that of the world point of index i.
 PreviewGrids makePreview(const IrradianceVolume& volume, double voxel);
 

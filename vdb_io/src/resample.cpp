@@ -178,6 +178,18 @@ IrradianceVolume emptyUniform(const IrradianceVolume& volume, double ratio)
     return builder.build();
 }
 
+/// The same region in new lattice steps, grown to whole ones.
+std::optional<LatticeBox> scaledBounds(const std::optional<LatticeBox>& bounds, double ratio)
+{
+    if (!bounds) return std::nullopt;
+    LatticeBox box;
+    for (int a = 0; a < 3; ++a) {
+        box.lower[a] = outward(bounds->lower[a] / ratio, false);
+        box.upper[a] = std::max(outward(bounds->upper[a] / ratio, true), box.lower[a] + 1);
+    }
+    return box;
+}
+
 } // namespace
 
 IrradianceVolume resampleUniform(
@@ -197,7 +209,9 @@ IrradianceVolume resampleUniform(
                 resampler.fill(out, static_cast<SampleId>(i));
             if (progress) progress->advance(range.size());
         });
+    if (ratio == 1) copyPlaces({&volume}, out); // the same samples and finest cells
     out.metadata() = volume.metadata();
+    out.metadata().bounds = scaledBounds(volume.metadata().bounds, ratio);
     forgetError(out.metadata());
     return out;
 }

@@ -2,6 +2,7 @@
 #include <lumivdb/vdb_io/volume_file.h>
 
 #include "archive.h"
+#include "cuts.h"
 #include "preview.h"
 #include "transfer.h"
 
@@ -31,20 +32,28 @@ bool withinLimit(const Color* record, std::size_t colors, float limit)
     return within;
 }
 
+bool isFinite(const Vec3f& v)
+{
+    return std::isfinite(v.x) && std::isfinite(v.y) && std::isfinite(v.z);
+}
+
 bool isSavable(const IrradianceVolume& volume, SampleId s, float limit)
 {
     const auto n = static_cast<std::size_t>(volume.coefficients());
     const float distance = volume.distance(s);
     return withinLimit(volume.radiance(s), n, limit)
         && (!volume.hasGradients() || withinLimit(volume.gradient(s), 3 * n, limit))
-        && std::isfinite(volume.validity(s)) && distance >= 0; // +inf allowed, NaN not
+        && std::isfinite(volume.validity(s)) && distance >= 0 // +inf allowed, NaN not
+        && isFinite(volume.offset(s));
 }
 
 /// The sentence for a sample that isSavable() refused.
 [[noreturn]] void refuse(
     const IrradianceVolume& volume, SampleId s, float limit, const std::string& path)
 {
-    std::string grid = std::isfinite(volume.validity(s)) ? kDistanceGrid : kValidityGrid;
+    std::string grid = !std::isfinite(volume.validity(s)) ? kValidityGrid
+        : !isFinite(volume.offset(s))                     ? kOffsetGrid
+                                                          : kDistanceGrid;
     bool overflow = false;
     for (const ColorChannel& channel : colorChannels(volume.bands(), volume.hasGradients())) {
         const Color* value = (channel.gradient ? volume.gradient(s) : volume.radiance(s));
@@ -66,6 +75,20 @@ bool isSavable(const IrradianceVolume& volume, SampleId s, float limit)
             + "is NaN or infinite or a negative distance; check the scene's lights and textures.");
 }
 
+void checkPlanes(const IrradianceVolume& volume, CellId id, const std::string& path)
+{
+    const CellVisibility* v = volume.visibility(id);
+    if (!v) return;
+    for (int k = 0; k < 3; ++k) {
+        const bool finite = isFinite(v->normal[k]);
+        if (finite && std::isfinite(v->offset[k])) continue;
+        throw Error(ErrorCode::Output,
+            "Cannot write '" + path + "': grid '" + (finite ? kWallOffsetGrid : kWallGrids[k])
+                + "' of the cell at " + pointText(volume.cell(id).origin)
+                + " is NaN or infinite; find the volume's visibility again.");
+    }
+}
+
 void checkValues(const IrradianceVolume& volume, bool half, const std::string& path)
 {
     const float limit = half ? kHalfMax : std::numeric_limits<float>::max();
@@ -79,6 +102,8 @@ void checkValues(const IrradianceVolume& volume, bool half, const std::string& p
         },
         [](std::size_t a, std::size_t b) { return std::min(a, b); });
     if (first != none) refuse(volume, static_cast<SampleId>(first), limit, path);
+    for (std::size_t i = 0; i < volume.cellCount() && volume.hasVisibility(); ++i)
+        checkPlanes(volume, static_cast<CellId>(i), path);
 }
 
 class VolumeSaver {
@@ -112,6 +137,12 @@ public:
         scalar(kDistanceGrid,
             [&volume](std::int32_t s) { return volume.distance(static_cast<SampleId>(s)); });
         writeColors(*source);
+        writeOffsets(*source);
+        if (!mVolume.hasVisibility()) return;
+        forCutGrids(
+            mVolume, *source, [this](const openvdb::GridBase::Ptr& grid, const std::string& name) {
+                writeChannel(grid, name, Store::Full);
+            });
     }
 
 private:
@@ -141,6 +172,19 @@ private:
             }
             begin += group.size();
         }
+    }
+
+    void writeOffsets(const openvdb::Int32Tree& source)
+    {
+        if (!mVolume.hasOffsets()) return;
+        const IrradianceVolume& volume = mVolume;
+        const auto grid = openvdb::Vec3SGrid::create(makeScalarTree<openvdb::Vec3STree>(
+            source, openvdb::Vec3s(0.0f), [&volume](std::int32_t s) {
+                const Vec3f o = volume.offset(static_cast<SampleId>(s));
+                return openvdb::Vec3s(o.x, o.y, o.z);
+            }));
+        grid->setVectorType(openvdb::VEC_INVARIANT);
+        writeChannel(grid, kOffsetGrid, Store::Full);
     }
 
     void writeChannel(const openvdb::GridBase::Ptr& grid, const std::string& name, Store store)
@@ -181,7 +225,8 @@ void saveVolume(const IrradianceVolume& volume, const std::string& path, const S
         throw Error(ErrorCode::Usage, "The preview voxel size is NaN; give a length or 0.");
     checkValues(volume, options.half, path);
     const std::size_t grids = colorChannels(volume.bands(), volume.hasGradients()).size() + 3
-        + (options.previewVoxel >= 0 ? 2 : 0);
+        + (options.previewVoxel >= 0 ? 2 : 0) + (volume.hasOffsets() ? 1 : 0)
+        + (volume.hasVisibility() ? cutGridNames().size() : 0);
     if (progress) progress->begin("write volume", grids);
     try {
         VdbWriter writer(path, options.codec, static_cast<int>(grids), progress);

@@ -61,4 +61,14 @@ Int32Tree::Ptr makeLevelTree(const IrradianceVolume& volume, const Int32Tree& so
     return tree;
 }
 
+Int32Tree::Ptr makeCutTree(const IrradianceVolume& volume, const Int32Tree& source)
+{
+    auto tree = std::make_shared<Int32Tree>(source);
+    mapValues(*tree, [&volume](const openvdb::Coord& p, std::int32_t) {
+        const CellId id = volume.findCell(fromVdb(p));
+        return id != kNoCell && volume.visibility(id) ? id : -1;
+    });
+    return tree;
+}
+
 } // namespace lumivdb

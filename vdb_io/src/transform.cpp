@@ -62,6 +62,18 @@ void turnGradient(const Similarity& s, int coefficients, Color* gradient)
     }
 }
 
+/// Offsets are displacements in world space.
+void turnOffsets(const Similarity& s, IrradianceVolume& volume)
+{
+    if (!volume.hasOffsets()) return;
+    std::vector<Vec3f> offsets(volume.sampleCount());
+    for (std::size_t i = 0; i < offsets.size(); ++i) {
+        const Vec3d o(volume.offset(static_cast<SampleId>(i)));
+        offsets[i] = Vec3f(o * s.rotation * s.scale);
+    }
+    volume.setOffsets(std::move(offsets));
+}
+
 } // namespace
 
 IrradianceVolume transformVolume(const IrradianceVolume& volume, const Mat4d& m)
@@ -79,6 +91,7 @@ IrradianceVolume transformVolume(const IrradianceVolume& volume, const Mat4d& m)
         if (out.hasGradients()) turnGradient(similarity, n, out.gradient(s));
         out.distance(s) = static_cast<float>(out.distance(s) * similarity.scale);
     }
+    turnOffsets(similarity, out);
     return out;
 }
 

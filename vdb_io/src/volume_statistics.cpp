@@ -138,6 +138,10 @@ void addVolumeStatistics(const IrradianceVolume& volume, VolumeStatistics& st)
     for (int a = 0; a < 3; ++a)
         st.uniformEquivalentSamples *= static_cast<std::uint64_t>(extent[a]) + 1;
     st.metadata = volume.metadata();
+    for (std::size_t i = 0; i < volume.cellCount(); ++i)
+        st.cutCells += volume.visibility(static_cast<CellId>(i)) != nullptr;
+    for (std::size_t i = 0; i < volume.sampleCount(); ++i)
+        st.movedSamples += volume.offset(static_cast<SampleId>(i)) != Vec3f(0.0f);
     addEnergy(volume, st);
     addHealth(volume, st);
     addHistogram(volume, st);

@@ -42,6 +42,8 @@ struct VolumeStatistics {
     std::vector<ChannelStatistics> channels;
     /// Mean over samples and channels of Σ_m L_lm² per degree l.
     std::vector<double> bandEnergy;
+    std::uint64_t cutCells = 0; ///< with CellVisibility
+    std::uint64_t movedSamples = 0; ///< measured elsewhere than at their lattice point
     double invalidFraction = 0; ///< samples below kValidThreshold
     double negativeIrradianceFraction = 0; ///< valid samples with a normal of negative irradiance
     /// |∇E_mean| over samples, from gradient channels or else finite differences between corners.

@@ -21,7 +21,8 @@ struct SaveOptions {
     /// Store values as 16-bit floats. A value beyond ±65504 is refused, naming grid and sample.
     bool half = false;
     /// Voxel size of the preview grids `color` and `density`, world units; 0: the finest spacing,
-    /// made coarser until each preview grid has at most 2^24 voxels; negative: no preview grids.
+    /// made coarser until each preview grid has at most 2^24 voxels, and at most 2^18 or eight a
+    /// sample, whichever is more; negative: no preview grids.
     double previewVoxel = 0.0;
 };
 
