@@ -18,6 +18,9 @@ Vec2d hilbertPoint(double t);
 /// Equal-area octahedral map of the unit square onto the sphere (Clarberg 2008); dω = 4π du dv.
 Vec3d squareToSphere(const Vec2d& uv);
 
+/// Its inverse, to 1e-5 of the square's side: the point that looks along unit @a d.
+Vec2f sphereToSquare(const Vec3f& d);
+
 /// Stratum @a i of @a count on the Hilbert curve, jittered by a number that depends on (seed, i)
 /// alone: the t of hilbertPoint().
 double jitteredStratum(std::uint64_t seed, std::uint64_t i, std::uint64_t count);

@@ -17,6 +17,7 @@ struct EmitterSample {
     Vec3f direction{0, 0, 0}; ///< unit, away from the reference point
     Vec3f target{0, 0, 0}; ///< end of the shadow ray; used when not infinite
     bool infinite = false;
+    Vec3f normal{0, 0, 0}; ///< of the surface there, either way; 0 where infinite
     Color radiance{0, 0, 0};
     double pdf = 0; ///< per steradian, choice of the emitter included; 0: nothing
 };

@@ -51,6 +51,7 @@ EmitterSample EmitterTable::samplePoint(std::size_t chosen, const Vec3f& from, d
     const double distance = std::sqrt(distance2);
     s.direction = Vec3f(d / distance);
     s.target = point;
+    s.normal = e.normal;
     const double cosine = std::abs(static_cast<double>(e.normal.dot(s.direction)));
     if (!(cosine > 0)) return s;
     s.pdf = e.probability / e.area * distance2 / cosine;

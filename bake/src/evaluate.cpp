@@ -25,9 +25,19 @@ constexpr int kMaxRounds = 64;
 constexpr std::size_t kWorstPlaces = 10;
 constexpr std::size_t kTimedQueries = 20000;
 
+/// x with P(normal < x) = p, for ½ ≤ p < 1, to 4.5e-4 (Abramowitz & Stegun 26.2.23).
+double normalQuantile(double p)
+{
+    const double t = std::sqrt(-2 * std::log(1 - p));
+    return t
+        - (2.515517 + t * (0.802853 + t * 0.010328))
+        / (1 + t * (1.432788 + t * (0.189269 + t * 0.001308)));
+}
+
 /// One point that counts: the volume's answer and the reference, per normal.
 struct Comparison {
     Vec3d position;
+    double weight = 1;
     std::vector<Color> volume, reference, error;
 };
 
@@ -86,14 +96,16 @@ private:
 
     std::vector<Vec3d> randomPoints(std::size_t count, int round) const
     {
-        const Box3d box = mVolume.worldBounds();
+        const LatticeBox box = mVolume.latticeBounds();
         std::vector<Vec3d> points(count);
         for (std::size_t i = 0; i < count; ++i) {
             CounterRng rng(hashCombine(
                 hashCombine(mixBits(mOptions.seed), i), static_cast<std::uint64_t>(round)));
             for (int a = 0; a < 3; ++a) {
-                points[i][a] = box.min[a] + rng.nextDouble() * (box.max[a] - box.min[a]);
+                points[i][a] = box.lower[a]
+                    + rng.nextDouble() * (static_cast<double>(box.upper[a]) - box.lower[a]);
             }
+            points[i] = points[i] * mVolume.indexToWorld();
         }
         return points;
     }
@@ -110,6 +122,7 @@ private:
                 return;
             }
             fates[i] = compare(points[i], mWorkspaces.local(), round[i]);
+            if (!mOptions.weights.empty()) round[i].weight = mOptions.weights[i];
             if (fates[i] == Fate::Compared) progress.advance(1);
         });
         if (stop) throw Error(ErrorCode::Interrupted, "The evaluation was interrupted.");
@@ -162,44 +175,67 @@ private:
 
     void summarise(EvaluateReport& report)
     {
-        const double n = static_cast<double>(mComparisons.size()) * mOptions.normals;
         Vec3d means(0.0);
-        for (int c = 0; c < 3; ++c) {
-            double mean = 0, bias = 0, square = 0, noise = 0;
-            std::vector<double> absolute;
-            absolute.reserve(static_cast<std::size_t>(n));
-            for (const Comparison& point : mComparisons) {
-                for (std::size_t k = 0; k < point.reference.size(); ++k) {
-                    const double reference = point.reference[k][c];
-                    const double difference = point.volume[k][c] - reference;
-                    mean += reference;
-                    bias += difference;
-                    square += difference * difference;
-                    noise += static_cast<double>(point.error[k][c]) * point.error[k][c];
-                    absolute.push_back(std::abs(difference));
-                }
-            }
-            means[c] = mean / n;
-            const auto relative = [&](double v) {
-                return means[c] > 0 ? v / means[c] : v == 0 ? 0 : kInf;
-            };
-            std::sort(absolute.begin(), absolute.end());
-            const auto percentile = [&](double q) {
-                const auto i
-                    = static_cast<std::size_t>(q * static_cast<double>(absolute.size() - 1));
-                return relative(absolute[i]);
-            };
-            report.relRmse = std::max(report.relRmse, relative(std::sqrt(square / n)));
-            report.referenceStderr
-                = std::max(report.referenceStderr, relative(std::sqrt(noise / n)));
-            report.p50 = std::max(report.p50, percentile(0.50));
-            report.p95 = std::max(report.p95, percentile(0.95));
-            report.p99 = std::max(report.p99, percentile(0.99));
-            report.max = std::max(report.max, percentile(1.0));
-            const double signedBias = bias < 0 ? -relative(-bias / n) : relative(bias / n);
-            if (std::abs(signedBias) > std::abs(report.bias)) report.bias = signedBias;
-        }
+        for (int c = 0; c < 3; ++c) means[c] = summariseChannel(c, report);
         listWorst(means, report);
+    }
+
+    /// The worst channel so far of everything; returns the channel's mean.
+    double summariseChannel(int c, EvaluateReport& report) const
+    {
+        double weights = 0, mean = 0, bias = 0, square = 0, noise = 0;
+        std::vector<std::pair<double, double>> absolute; // error, weight
+        std::vector<double> debiased; // per point: mean square over normals, noise taken off
+        for (const Comparison& point : mComparisons) {
+            const double w = point.weight / static_cast<double>(point.reference.size());
+            double square1 = 0, noise1 = 0;
+            for (std::size_t k = 0; k < point.reference.size(); ++k) {
+                const double reference = point.reference[k][c];
+                const double difference = point.volume[k][c] - reference;
+                mean += w * reference;
+                bias += w * difference;
+                square1 += w * difference * difference;
+                noise1 += w * static_cast<double>(point.error[k][c]) * point.error[k][c];
+                absolute.emplace_back(std::abs(difference), w);
+            }
+            square += square1;
+            noise += noise1;
+            debiased.push_back(square1 - noise1);
+            weights += point.weight;
+        }
+        mean /= weights;
+        const auto relative = [&](double v) { return mean > 0 ? v / mean : v == 0 ? 0 : kInf; };
+        std::sort(absolute.begin(), absolute.end());
+        const auto percentile = [&](double q) {
+            double left = q * weights;
+            for (const auto& [error, w] : absolute) {
+                if ((left -= w) <= 0) return relative(error);
+            }
+            return relative(absolute.back().first);
+        };
+        report.relRmse = std::max(report.relRmse, relative(std::sqrt(square / weights)));
+        report.referenceStderr
+            = std::max(report.referenceStderr, relative(std::sqrt(noise / weights)));
+        report.p50 = std::max(report.p50, percentile(0.50));
+        report.p95 = std::max(report.p95, percentile(0.95));
+        report.p99 = std::max(report.p99, percentile(0.99));
+        report.max = std::max(report.max, relative(absolute.back().first));
+        const double signedBias = bias < 0 ? -relative(-bias / weights) : relative(bias / weights);
+        if (std::abs(signedBias) > std::abs(report.bias)) report.bias = signedBias;
+
+        // The mean square is a ratio of two sums over the points; its variance by linearisation.
+        const double meanSquare = (square - noise) / weights;
+        double variance = 0;
+        for (std::size_t i = 0; i < debiased.size(); ++i) {
+            const double d = debiased[i] - mComparisons[i].weight * meanSquare;
+            variance += d * d;
+        }
+        variance /= weights * weights;
+        const double bound = meanSquare + normalQuantile(mOptions.confidence) * std::sqrt(variance);
+        report.relRmseDebiased
+            = std::max(report.relRmseDebiased, relative(std::sqrt(std::max(0.0, meanSquare))));
+        report.upper = std::max(report.upper, relative(std::sqrt(std::max(0.0, bound))));
+        return mean;
     }
 
     void listWorst(const Vec3d& means, EvaluateReport& report) const
@@ -254,6 +290,15 @@ void EvaluateOptions::validate() const
     if (normals < 1 || normals > 4096) {
         throw Error(
             ErrorCode::Usage, "normals is " + std::to_string(normals) + "; take 1 to 4096.");
+    }
+    if (!weights.empty() && weights.size() != givenPoints.size()) {
+        throw Error(ErrorCode::Usage,
+            std::to_string(weights.size()) + " weights were given for "
+                + std::to_string(givenPoints.size()) + " points; give one for each, or none.");
+    }
+    if (!(confidence >= 0.5 && confidence < 1)) {
+        throw Error(ErrorCode::Usage,
+            "confidence is " + std::to_string(confidence) + "; take 0.5 to below 1.");
     }
 }
 

@@ -14,6 +14,9 @@ namespace {
 constexpr float kPi = 3.14159265358979323846f;
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 constexpr double kUniformPdf = 1 / (4 * 3.14159265358979323846);
+/// Distances below this count as it, so that their inverses stay finite.
+constexpr float kNearest = 1e-12f;
+constexpr float kEdgeOn = 1e-5f;
 /// Separates the random numbers of emitter strata from those of the directions.
 constexpr std::uint64_t kEmitterStream = 0x51ed270b35ae3d29ull;
 /// Beyond this many reflections every path has a chance to end, so that a room of albedo 1 does.
@@ -59,6 +62,14 @@ void pushShadow(RayBatch& rays, const Vec3f& from, const EmitterSample& s)
 
 } // namespace
 
+InversePlane::InversePlane(const Vec3f& normal, const Vec3f& direction, float distance)
+    : inverse(1 / std::max(distance, kNearest))
+{
+    // Seen edge-on, a plane says nothing of the distance beside the ray: take it as constant.
+    const float cosine = normal.dot(direction);
+    slope = std::abs(cosine) > kEdgeOn ? normal * (inverse / cosine) : direction * inverse;
+}
+
 void PathTracer::note(const RayBatch& rays, bool shadow)
 {
     if (!mRecorder) return;
@@ -79,6 +90,7 @@ void PathTracer::trace(const Vec3f& p, const Vec3f* directions, std::uint64_t fi
         result.emitter[i] = Color(0.0f);
         result.ex[i] = result.ey[i] = 0;
         result.ez[i] = 1;
+        result.emitterPlane[i] = InversePlane();
     }
     if (mOptions.contribution != Contribution::Indirect && !mImpl.emitters.empty()) {
         sampleEmittersAtProbe(p, first, count, result);
@@ -113,6 +125,9 @@ void PathTracer::sampleEmittersAtProbe(
         mShadowValue[mShadow.count] = s.radiance * static_cast<float>(1 / (s.pdf + kUniformPdf));
         mShadowStratum[mShadow.count] = i;
         pushShadow(mShadow, p, s);
+        if (!s.infinite) {
+            result.emitterPlane[i] = InversePlane(s.normal, s.direction, (s.target - p).length());
+        }
         result.ex[i] = s.direction.x;
         result.ey[i] = s.direction.y;
         result.ez[i] = s.direction.z;
@@ -135,6 +150,7 @@ void PathTracer::startPaths(
     for (int i = 0; i < count; ++i) {
         const Vec3f d = result.rays.direction(i);
         result.backFace[i] = false;
+        result.plane[i] = InversePlane();
         if (result.hits.triangle[i] == kMiss) {
             if (!direct || !mImpl.scene->environment) continue;
             result.uniform[i] = mImpl.scene->environment->radiance(Vec3d(d))
@@ -146,6 +162,7 @@ void PathTracer::startPaths(
             p, d, result.hits.triangle[i], result.hits.t[i], result.hits.u[i], result.hits.v[i]);
         const SurfacePoint& s = path.surface;
         result.backFace[i] = s.backFace;
+        result.plane[i] = InversePlane(s.normal, d, result.hits.t[i]);
         if (direct && s.emitter >= 0) {
             const double pdf = mImpl.emitters.pdfTriangle(
                 s.emitter, result.hits.t[i], std::abs(s.normal.dot(d)));

@@ -14,6 +14,16 @@
 
 namespace lumivdb {
 
+/// A surface's tangent plane as the probe sees it: in direction ω it lies at the inverse distance
+/// slope · ω, which is linear. All zero for what is infinitely far away.
+struct InversePlane {
+    Vec3f slope{0, 0, 0}; ///< n / (n · y), y the surface point relative to the probe
+    float inverse = 0; ///< 1/|y|
+
+    InversePlane() = default;
+    InversePlane(const Vec3f& normal, const Vec3f& direction, float distance);
+};
+
 /// What a batch of consecutive strata brought back. All of it at the probe, local space.
 struct PathBatchResult {
     RayBatch rays; ///< the uniform directions
@@ -24,6 +34,8 @@ struct PathBatchResult {
     /// added to the same stratum's estimate. Zero where nothing arrives.
     float ex[kBatch], ey[kBatch], ez[kBatch];
     Color emitter[kBatch];
+    /// The planes of the surfaces met by rays[i] and of the emitters drawn, for derivatives.
+    InversePlane plane[kBatch], emitterPlane[kBatch];
     bool backFace[kBatch];
     std::uint64_t traced = 0; ///< rays, shadow rays included
 };

@@ -2,6 +2,7 @@
 #include <lumivdb/bake/probe.h>
 
 #include "directions.h"
+#include "gradient.h"
 #include "path.h"
 
 #include <lumivdb/core/error.h>
@@ -13,6 +14,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <mutex>
 
 namespace lumivdb {
 
@@ -22,6 +24,8 @@ constexpr double kPi = 3.14159265358979323846;
 /// Strata a chunk: sums of chunks are added in order, so chunks may be traced by any thread.
 constexpr int kChunk = 4096;
 constexpr int kMaxRays = 1 << 26;
+/// Chunks in flight: bounds the memory of what they bring back.
+constexpr std::size_t kWave = 256;
 
 /// Sums over consecutive strata for all basis functions.
 struct Sums {
@@ -85,6 +89,14 @@ struct Scratch {
     std::vector<float> uniformBasis, emitterBasis; // [function][stratum of the batch]
     std::vector<float> previous; // last stratum's value, as Sums::sum
     Sums sums;
+};
+
+/// Scratch for gradients.
+struct GradientScratch {
+    const GradientTables* tables = nullptr;
+    int bands = 0;
+    std::vector<GradientCollector> chunks; ///< of one wave
+    GradientSums sums;
 };
 
 /// Adds a batch's strata to the sums: f_i = 4π L(ω_i) y(ω_i) + L(ω'_i)/p y(ω'_i).
@@ -151,29 +163,79 @@ template <class Basis> void accumulate(const Basis& basis, int n, bool firstOfCh
     }
 }
 
+/// What all chunks of a point have in common.
+struct Shot {
+    const Tracer::Impl& impl;
+    const ProbeOptions& options;
+    const std::vector<Vec3f>& directions;
+    Vec3f p;
+    std::uint64_t key;
+};
+
 template <class Basis>
-void traceChunk(const Vec3f& p, const Basis& basis, const std::vector<Vec3f>& directions,
-    std::size_t first, std::size_t last, std::uint64_t key, Scratch& w)
+void traceChunk(const Shot& shot, const Basis& basis, std::size_t first,
+    GradientCollector* gradient, Scratch& w)
 {
+    const std::size_t last = std::min(shot.directions.size(), first + kChunk);
     w.sums.reset(static_cast<std::size_t>(basis.count()));
     w.previous.assign(w.sums.sum.size(), 0.0f);
     for (std::size_t i = first; i < last; i += kBatch) {
         const int n = static_cast<int>(std::min<std::size_t>(kBatch, last - i));
-        w.paths.trace(p, directions.data() + i, i, n, key, w.batch);
+        w.paths.trace(shot.p, shot.directions.data() + i, i, n, shot.key, w.batch);
         accumulate(basis, n, i == first, w);
+        if (gradient) gradient->collect(w.batch, i, n);
     }
+}
+
+/// All strata, in waves of chunks; within a wave any thread may trace any chunk.
+template <class Basis>
+Sums traceChunks(const Shot& shot, const Basis& basis, Scratch& own, GradientScratch* gradient)
+{
+    const std::size_t chunks = (shot.directions.size() + kChunk - 1) / kChunk;
+    Sums total;
+    total.reset(static_cast<std::size_t>(basis.count()));
+    if (gradient) gradient->chunks.resize(std::min(chunks, kWave));
+    tbb::enumerable_thread_specific<std::unique_ptr<Scratch>> scratch;
+    for (std::size_t wave = 0; wave < chunks; wave += kWave) {
+        const std::size_t count = std::min(kWave, chunks - wave);
+        std::vector<Sums> parts(count);
+        const auto trace = [&](std::size_t c, Scratch& w) {
+            GradientCollector* collector = gradient ? &gradient->chunks[c] : nullptr;
+            if (collector) {
+                collector->reset(*gradient->tables, gradient->bands, gradient->sums.cells());
+            }
+            traceChunk(shot, basis, (wave + c) * kChunk, collector, w);
+            parts[c] = w.sums;
+        };
+        if (count == 1) {
+            trace(0, own);
+        } else {
+            tbb::parallel_for(std::size_t{0}, count, [&](std::size_t c) {
+                auto& local = scratch.local();
+                if (!local) local = std::make_unique<Scratch>(shot.impl, shot.options);
+                trace(c, *local);
+            });
+        }
+        for (const Sums& part : parts) total.add(part);
+        for (std::size_t c = 0; gradient && c < count; ++c) gradient->sums.add(gradient->chunks[c]);
+    }
+    return total;
 }
 
 /// Point, spot and directional lights: one direction each, no noise. Returns the rays traced.
 template <class Basis>
 std::uint64_t addPunctual(const PathTracer& paths, const Tracer::Impl& impl, const Vec3f& p,
-    const Basis& basis, std::vector<double>& values)
+    const Basis& basis, std::vector<double>& values, GradientSums* gradient)
 {
     std::vector<float> y(static_cast<std::size_t>(basis.count()));
     std::uint64_t traced = 0;
     for (std::size_t l = 0; l < impl.scene->lights.size(); ++l) {
         const PunctualSample s = paths.punctual(l, p, traced);
         if (s.irradiance == Color(0.0f)) continue;
+        if (gradient) {
+            const Light& light = impl.scene->lights[l];
+            gradient->addPunctual(light, impl.toLocal(light.position), p, s);
+        }
         basis.eval(1, &s.direction.x, &s.direction.y, &s.direction.z, y.data());
         for (std::size_t k = 0; k < y.size(); ++k) {
             for (int c = 0; c < 3; ++c) {
@@ -183,6 +245,30 @@ std::uint64_t addPunctual(const PathTracer& paths, const Tracer::Impl& impl, con
         }
     }
     return traced;
+}
+
+/// Values, errors and what the rays saw. The sums are means by now.
+ProbeResult resultOf(const Sums& total, std::size_t strata)
+{
+    const auto count = static_cast<double>(strata);
+    ProbeResult r;
+    r.value.resize(total.sum.size() / 3);
+    r.stderr_.resize(r.value.size());
+    for (std::size_t k = 0; k < r.value.size(); ++k) {
+        for (int c = 0; c < 3; ++c) {
+            const std::size_t j = k * 3 + static_cast<std::size_t>(c);
+            const double variance = total.differences2[j]
+                / (2.0 * std::max<double>(1.0, static_cast<double>(total.differences)));
+            r.value[k][c] = static_cast<float>(total.sum[j]);
+            r.stderr_[k][c] = static_cast<float>(std::sqrt(variance / count));
+        }
+    }
+    r.validity = static_cast<float>(1.0 - static_cast<double>(total.backFaces) / count);
+    r.distance = total.inverseDistance > 0 ? static_cast<float>(count / total.inverseDistance)
+                                           : std::numeric_limits<float>::infinity();
+    r.minDistance = total.minDistance;
+    r.rays = total.traced;
+    return r;
 }
 
 } // namespace
@@ -215,6 +301,13 @@ void ProbeOptions::validate() const
 
 struct ProbeEstimator::Workspace::Impl {
     std::unique_ptr<Scratch> scratch;
+    std::unique_ptr<GradientScratch> gradient;
+};
+
+/// Made when the first gradient is asked for, by whichever thread asks.
+struct ProbeEstimator::Tables {
+    std::once_flag once;
+    std::unique_ptr<const GradientTables> gradient;
 };
 
 ProbeEstimator::Workspace::Workspace()
@@ -229,73 +322,63 @@ ProbeEstimator::ProbeEstimator(const Tracer& tracer, const ProbeOptions& options
 {
     options.validate();
     mDirections = stratifiedDirections(options.seed, options.rays);
+    mTables = std::make_shared<Tables>();
 }
 
 ProbeEstimator::~ProbeEstimator() = default;
 
 template <class Basis>
-ProbeResult ProbeEstimator::estimate(
-    const Vec3d& world, const Basis& basis, std::uint64_t key, Workspace& workspace) const
+ProbeResult ProbeEstimator::estimate(const Vec3d& world, const Basis& basis, std::uint64_t key,
+    Workspace& workspace, int gradientBands) const
 {
     const Tracer::Impl& impl = mTracer.impl();
-    const Vec3f p = impl.toLocal(world);
-    const std::size_t n = mDirections.size(), chunks = (n + kChunk - 1) / kChunk;
-    auto& own = workspace.mImpl->scratch;
-    if (!own) own = std::make_unique<Scratch>(impl, mOptions);
-
-    Sums total;
-    if (chunks == 1) {
-        traceChunk(p, basis, mDirections, 0, n, key, *own);
-        total = own->sums;
-    } else {
-        tbb::enumerable_thread_specific<std::unique_ptr<Scratch>> scratch;
-        std::vector<Sums> parts(chunks);
-        tbb::parallel_for(std::size_t{0}, chunks, [&](std::size_t c) {
-            auto& local = scratch.local();
-            if (!local) local = std::make_unique<Scratch>(impl, mOptions);
-            traceChunk(
-                p, basis, mDirections, c * kChunk, std::min(n, (c + 1) * kChunk), key, *local);
-            parts[c] = local->sums;
-        });
-        total.reset(static_cast<std::size_t>(basis.count()));
-        for (const Sums& part : parts) total.add(part);
+    Workspace::Impl& own = *workspace.mImpl;
+    if (!own.scratch) own.scratch = std::make_unique<Scratch>(impl, mOptions);
+    std::unique_ptr<GradientScratch> several;
+    GradientScratch* gradient = nullptr;
+    if (gradientBands > 0) {
+        // While chunks are traced in parallel, this thread may be given another point with the same
+        // workspace: what lives as long is not kept there.
+        auto& kept = mDirections.size() > kChunk ? several : own.gradient;
+        if (!kept) kept = std::make_unique<GradientScratch>();
+        gradient = kept.get();
+        gradient->tables = &gradientTables();
+        gradient->bands = gradientBands;
+        gradient->sums.reset(*gradient->tables, gradientBands);
     }
 
-    const double count = static_cast<double>(n);
-    for (double& s : total.sum) s /= count;
+    const Shot shot{impl, mOptions, mDirections, impl.toLocal(world), key};
+    Sums total = traceChunks(shot, basis, *own.scratch, gradient);
+    for (double& s : total.sum) s /= static_cast<double>(mDirections.size());
     if (mOptions.contribution != Contribution::Indirect) {
-        total.traced += addPunctual(own->paths, impl, p, basis, total.sum);
+        total.traced += addPunctual(own.scratch->paths, impl, shot.p, basis, total.sum,
+            gradient ? &gradient->sums : nullptr);
     }
-    ProbeResult r;
-    r.value.resize(static_cast<std::size_t>(basis.count()));
-    r.stderr_.resize(r.value.size());
-    for (std::size_t k = 0; k < r.value.size(); ++k) {
-        for (int c = 0; c < 3; ++c) {
-            const std::size_t j = k * 3 + static_cast<std::size_t>(c);
-            const double variance = total.differences2[j]
-                / (2.0 * std::max<double>(1.0, static_cast<double>(total.differences)));
-            r.value[k][c] = static_cast<float>(total.sum[j]);
-            r.stderr_[k][c] = static_cast<float>(std::sqrt(variance / count));
-        }
-    }
-    r.validity = static_cast<float>(1.0 - static_cast<double>(total.backFaces) / count);
-    r.distance = total.inverseDistance > 0 ? static_cast<float>(count / total.inverseDistance)
-                                           : std::numeric_limits<float>::infinity();
-    r.minDistance = total.minDistance;
-    r.rays = total.traced;
+    ProbeResult r = resultOf(total, mDirections.size());
+    if (gradient) r.gradient = gradient->sums.finish();
     return r;
 }
 
-ProbeResult ProbeEstimator::radianceSh(
-    const Vec3d& p, int bands, std::uint64_t key, Workspace& workspace) const
+const GradientTables& ProbeEstimator::gradientTables() const
 {
-    return estimate(p, ShFunctions{bands}, key, workspace);
+    std::call_once(mTables->once, [this] {
+        const bool direct = mOptions.contribution != Contribution::Indirect;
+        mTables->gradient = std::make_unique<GradientTables>(
+            mDirections.size(), direct ? mTracer.impl().scene->environment.get() : nullptr);
+    });
+    return *mTables->gradient;
+}
+
+ProbeResult ProbeEstimator::radianceSh(
+    const Vec3d& p, int bands, std::uint64_t key, Workspace& workspace, bool analyticGradient) const
+{
+    return estimate(p, ShFunctions{bands}, key, workspace, analyticGradient ? bands : 0);
 }
 
 ProbeResult ProbeEstimator::irradiance(const Vec3d& p, const std::vector<Vec3f>& normals,
     std::uint64_t key, Workspace& workspace) const
 {
-    return estimate(p, CosineFunctions{normals}, key, workspace);
+    return estimate(p, CosineFunctions{normals}, key, workspace, 0);
 }
 
 } // namespace lumivdb

@@ -150,7 +150,7 @@ TEST_CASE("options that make no sense are refused with their name and value", "[
         change(o);
         return refusal(o);
     };
-    CHECK(with([](BakeOptions& o) { o.bands = 0; }).find("bands is 0") != std::string::npos);
+    CHECK(with([](BakeOptions& o) { o.bands = -1; }).find("bands is -1") != std::string::npos);
     CHECK(with([](BakeOptions& o) { o.bands = 7; }).find("bands is 7") != std::string::npos);
     CHECK(with([](BakeOptions& o) { o.probe.rays = 1; }).find("rays is 1") != std::string::npos);
     CHECK(with([](BakeOptions& o) { o.probe.rays = -5; }).find("-5") != std::string::npos);
@@ -264,9 +264,15 @@ TEST_CASE("a bake that is cancelled throws Interrupted, at once or soon", "[bake
         CHECK(watch.done <= stopAfter + 64); // what was under way
     }
     Watch watch(1 << 30);
-    bakeVolume(*tracer, bakeOptions(0.8, Vec3d(0.0), Vec3d(1.6), 16), &watch);
-    CHECK(watch.done == 27);
-    CHECK(watch.steps == 27);
+    BakeOptions whole = bakeOptions(0.8, Vec3d(0.0), Vec3d(1.6), 16);
+    bakeVolume(*tracer, whole, &watch);
+    CHECK(watch.done == 27 + 8); // samples, then cells
+    CHECK(watch.steps == 8);
+    Watch plain(1 << 30);
+    whole.visibility = false;
+    bakeVolume(*tracer, whole, &plain);
+    CHECK(plain.done == 27);
+    CHECK(plain.steps == 27);
 }
 
 TEST_CASE("validity: none inside a solid, half on its rim's level, all outside", "[bake][validity]")

@@ -5,6 +5,7 @@
 /// The bake: a scene in, an irradiance volume out. And its judge: evaluateVolume().
 
 #include <lumivdb/bake/probe.h>
+#include <lumivdb/bake/refine.h>
 #include <lumivdb/core/sampler.h>
 #include <lumivdb/core/volume.h>
 
@@ -14,20 +15,28 @@
 
 namespace lumivdb {
 
-/// Options of one bake; toCommandLine() reproduces it, and the volume stores that.
-enum class GradientMethod {
-    None,
-    Central ///< six extra projections at ±δ under the same directions and random numbers (seed
-            ///< 000); δ = spacing/8, or half the distance to the nearest surface where that is less
+/// Asks for a volume whose error is at most @a error and proves it: samples are added until points
+/// that the bake never used agree. See bakeVolume().
+struct ErrorTarget {
+    double error = 0; ///< relative RMS of irradiance, e.g. 0.02; 0: no target
+    double confidence = 0.95; ///< one-sided
+    std::size_t maxSamples = 2000000; ///< samples the bake may trace before it gives up
+    bool chooseRays = true; ///< false: BakeOptions::probe.rays is kept
+    bool chooseGradients = true; ///< false: BakeOptions::gradients is kept
 };
 
 /// Options of one bake. Lengths in scene units.
 struct BakeOptions {
     ProbeOptions probe;
-    int bands = 3; ///< 1 … 6
+    int bands = 3; ///< 1 … 6; 0: as few as the scene's light allows
     GradientMethod gradients = GradientMethod::None;
-    double spacing = 0; ///< distance between samples; 0: chosen from the scene
+    double spacing = 0; ///< finest distance between samples; 0: chosen from the scene
+    int levels = 0; ///< coarser levels: cells up to spacing · 2^levels; 0: uniform; −1: chosen
+    RefineOptions refine; ///< where levels are above 0
+    ErrorTarget target; ///< with one, levels = 0 means −1, and refine's error threshold is chosen
     std::optional<Box3d> bounds; ///< default: the scene's, grown by one cell
+    bool visibility = true; ///< masks of what is seen from where in cells that geometry cuts
+    int part = 1, parts = 1; ///< bake part number `part` of `parts`, to be joined later
     std::string lightGroup; ///< stored in the metadata; see selectLightGroup()
     std::string commandLine; ///< stored in the metadata
     int threads = 0; ///< 0: all cores
@@ -35,14 +44,32 @@ struct BakeOptions {
     void validate() const;
 };
 
+/// What verification on points that the bake never used has found.
+struct AchievedError {
+    double relRmse = -1; ///< of the points, the reference's own noise taken off; −1: not measured
+    double upper = -1; ///< bound that holds with `confidence`
+    double confidence = 0;
+    std::size_t points = 0;
+    bool met = true; ///< upper ≤ the target
+    struct Place {
+        Vec3d position;
+        double error;
+    };
+    std::vector<Place> worst; ///< up to 10, largest first
+};
+
 struct BakeReport {
     std::uint64_t samples = 0;
     std::vector<std::uint64_t> cellsByLevel;
     std::uint64_t rays = 0; ///< shadow rays included
+    std::uint64_t tracedSamples = 0; ///< tests and what was merged again included
     double raysPerSecond = 0;
-    double secondsTrace = 0;
+    double secondsTrace = 0, secondsRefine = 0, secondsVerify = 0;
     double spacing = 0; ///< the one used
+    int raysPerSample = 0; ///< the number used
     double meanRelativeStderr = 0; ///< mean standard error of E over mean E
+    std::size_t cutCells = 0; ///< cells with visibility masks
+    AchievedError achieved;
     std::vector<std::string> decisions; ///< what was chosen where nothing was given, and why
     std::vector<std::string> warnings;
 };
@@ -56,10 +83,18 @@ struct BakeResult {
 /// down to 1, 2 or 5 × 10^k, kMinSpacing at least. 0.1 for an empty box.
 double defaultSpacing(const Box3d& sceneBounds);
 
-/// Bakes a uniform volume. Samples lie on the lattice of latticeTransform(spacing), so the volume
-/// covers the bounds, grown to whole cells. A sample within 5e-4 spacing of a surface is moved off
-/// it, to the side that sees fewer back faces, then to the one from which fewer rays escape. Same
-/// inputs, same bits, for any thread count and for any split of the bounds.
+/// Bakes a volume. Samples lie on the lattice of latticeTransform(spacing), so separate bakes of
+/// one scene share theirs. A uniform volume covers the bounds, grown to whole cells; the coarse
+/// cells of an adaptive one may reach beyond, latticeBounds() tells what was asked for. A sample
+/// within 5e-4 spacing of a surface is moved off it, to the side that sees fewer back faces, then
+/// to the one from which fewer rays escape; one inside a solid is moved out where that is nearer
+/// than a spacing, else it is filled from its neighbours and stays invalid. Same inputs, same bits,
+/// for any thread count, any split of the bounds of a uniform bake, and for parts joined.
+///
+/// With a target: pilot probes choose bands, rays and gradients; the error threshold is lowered,
+/// round by round, until the error at fresh random points, with its confidence, is within the
+/// target. Points are drawn half evenly, half where the bake thinks it is wrong, and weighed
+/// accordingly. Where it cannot be met, the report says so and the volume is what was reached.
 /// @throws Error(Usage) for bad options or more than 2³¹ samples; Error(Interrupted).
 BakeResult bakeVolume(
     const Tracer& tracer, const BakeOptions& options, Progress* progress = nullptr);
@@ -79,12 +114,17 @@ struct EvaluateOptions {
     Contribution contribution = Contribution::All; ///< must be the volume's
     int maxBounces = -1;
     std::vector<Vec3d> givenPoints; ///< used instead of random ones when not empty
+    std::vector<double> weights; ///< one per given point, where they were not drawn evenly
+    double confidence = 0.95; ///< of EvaluateReport::upper, one-sided
     int threads = 0;
     void validate() const;
 };
 
 struct EvaluateReport {
     double relRmse = 0; ///< sqrt(mean |E−E_ref|²)/mean(E_ref), worst channel
+    /// The same with the reference's noise taken off, and its upper bound at the options'
+    /// confidence, from the spread over the points.
+    double relRmseDebiased = 0, upper = 0;
     double p50 = 0, p95 = 0, p99 = 0, max = 0; ///< of |E−E_ref|/mean(E_ref), worst channel each
     double bias = 0; ///< mean(E−E_ref)/mean(E_ref), channel of largest magnitude
     double referenceStderr = 0; ///< sqrt(mean stderr²)/mean(E_ref), worst channel
@@ -101,7 +141,8 @@ struct EvaluateReport {
 };
 
 /// Compares a volume with an independent trace at random free-space points (not inside geometry)
-/// of the volume's box and a uniform set of normals. The scene must be in the volume's frame.
+/// of the volume's latticeBounds() and a uniform set of normals. The scene must be in the volume's
+/// frame.
 EvaluateReport evaluateVolume(const IrradianceVolume& volume, const Tracer& tracer,
     const EvaluateOptions& options, Progress* progress = nullptr);
 

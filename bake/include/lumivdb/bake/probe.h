@@ -19,9 +19,12 @@
 #include <lumivdb/core/sh.h>
 
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 namespace lumivdb {
+
+struct GradientTables; // bake/src/gradient.h
 
 enum class Contribution {
     All,
@@ -30,6 +33,14 @@ enum class Contribution {
 };
 
 const char* name(Contribution c);
+
+/// How derivatives are found.
+enum class GradientMethod {
+    None,
+    Central, ///< six extra projections at ±δ under the same directions and random numbers (seed
+             ///< 000)
+    Analytic ///< from the same rays: the motion of the borders between strata
+};
 
 struct ProbeOptions {
     int rays = 1024; ///< directions per point, 2 … 2^26
@@ -44,6 +55,9 @@ struct ProbeOptions {
 struct ProbeResult {
     std::vector<Color> value; ///< one per basis function
     std::vector<Color> stderr_; ///< standard error of each
+    /// Derivatives per world unit along world x, y, z: [axis · functions + function]; empty when
+    /// not asked for.
+    std::vector<Color> gradient;
     float validity = 1; ///< share of rays that did not meet a back face
     float distance = 0; ///< harmonic mean distance; +inf where all escaped
     float minDistance = 0; ///< smallest; +inf where all escaped
@@ -67,8 +81,9 @@ public:
 
     /// Radiance SH coefficients (bands² of them) at world point @a p. @a key makes the random
     /// numbers: the same point, key and options give the same bits (see hashPoint()).
-    ProbeResult radianceSh(
-        const Vec3d& p, int bands, std::uint64_t key, Workspace& workspace) const;
+    /// With @a analyticGradient, ProbeResult::gradient is filled from the same rays.
+    ProbeResult radianceSh(const Vec3d& p, int bands, std::uint64_t key, Workspace& workspace,
+        bool analyticGradient = false) const;
 
     /// Irradiance for each of @a normals at @a p, without any expansion in between.
     ProbeResult irradiance(const Vec3d& p, const std::vector<Vec3f>& normals, std::uint64_t key,
@@ -78,11 +93,32 @@ public:
 
 private:
     template <class Basis>
-    ProbeResult estimate(
-        const Vec3d& p, const Basis& basis, std::uint64_t key, Workspace& workspace) const;
+    ProbeResult estimate(const Vec3d& p, const Basis& basis, std::uint64_t key,
+        Workspace& workspace, int gradientBands) const;
+    const GradientTables& gradientTables() const;
+    struct Tables;
     const Tracer& mTracer;
     ProbeOptions mOptions;
     std::vector<Vec3f> mDirections; // shared by all points
+    std::shared_ptr<Tables> mTables; // made when first needed
 };
+
+/// Sets @a result.gradient by central differences: six projections at ±δ along the axes, under the
+/// same directions and the same random numbers (@a key). δ is spacing/8, or half the distance to
+/// the nearest surface where that is less, 1e-4 spacing at least.
+/// @return the rays traced for it; @a result.rays is left alone.
+std::uint64_t centralGradient(const Tracer& tracer, const ProbeEstimator& estimator, const Vec3d& p,
+    int bands, double spacing, std::uint64_t key, ProbeEstimator::Workspace& workspace,
+    ProbeResult& result);
+
+/// Share of a gradient that holds as far as @a reach (world units; at most the size of the cells
+/// around the sample) where the harmonic mean distance to the surfaces seen is @a distance. Light
+/// changes over distances of that order (Ward & Heckbert 1992): where reach exceeds 0.7 of it, the
+/// gradient is scaled by the ratio, so its direction stays and its change over the reach is what it
+/// would be over the valid distance.
+float gradientFactor(double distance, double reach);
+
+/// Scales @a result.gradient by gradientFactor(). Derivatives that are not finite become 0.
+void limitGradient(double reach, ProbeResult& result);
 
 } // namespace lumivdb

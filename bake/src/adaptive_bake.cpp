@@ -1,0 +1,414 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "bake_plan.h"
+#include "refiner.h"
+
+#include <lumivdb/bake/visibility.h>
+#include <lumivdb/core/error.h>
+#include <lumivdb/core/random.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+
+namespace lumivdb {
+
+namespace {
+
+/// Decisions about a root depend on others up to this many roots away, and no further: splits look
+/// at neighbours of their own size once a level, balance and merging do alike.
+constexpr int kPartHalo = 5;
+constexpr int kMaxRounds = 24;
+/// Where the bands alone leave out more than the target.
+constexpr int kHopelessRounds = 3;
+constexpr std::size_t kVerifyPoints = 512, kMaxVerifyPoints = 4096;
+/// The reference's own noise in targets. It is taken off; what is left of it is its spread, which
+/// over hundreds of points is a few percent of this.
+constexpr double kReferenceShare = 1.0;
+constexpr double kMaxReferenceRays = 16384;
+constexpr std::uint64_t kVerifyStream = 0x3b97f1c5d8e2a604ull;
+/// Gradients stay where trilinear interpolation is at least this much more wrong, as RMS.
+constexpr double kGradientsPay = 1.2;
+
+class Seconds {
+public:
+    explicit Seconds(double& sum)
+        : mSum(sum)
+    {
+    }
+    ~Seconds()
+    {
+        mSum += std::chrono::duration<double>(std::chrono::steady_clock::now() - mStart).count();
+    }
+    Seconds(const Seconds&) = delete;
+    Seconds& operator=(const Seconds&) = delete;
+
+private:
+    double& mSum;
+    std::chrono::steady_clock::time_point mStart = std::chrono::steady_clock::now();
+};
+
+class AdaptiveBake {
+public:
+    AdaptiveBake(const Tracer& tracer, const BakeOptions& options, const BakePlan& plan,
+        BakeReport& report, Progress& progress)
+        : mTracer(tracer)
+        , mOptions(options)
+        , mPlan(plan)
+        , mReport(report)
+        , mProgress(progress)
+    {
+        start();
+    }
+
+    IrradianceVolume run()
+    {
+        IrradianceVolume volume = mOptions.target.error > 0 ? runToTarget() : runOnce();
+        mReport.tracedSamples = mStore->size();
+        mReport.rays += mStore->rays() + mDroppedRays;
+        mReport.meanRelativeStderr = mStore->meanRelativeStderr();
+        mReport.raysPerSample = mPlan.samples.probe.rays;
+        return volume;
+    }
+
+private:
+    void start()
+    {
+        mStore = std::make_unique<SampleStore>(mTracer, mPlan.samples);
+        mRefiner = std::make_unique<Refiner>(
+            mTracer, *mStore, mOptions.refine, mPlan.box, mPlan.levels, mPlan.meanE);
+        mRefiner->limitSamples(mOptions.target.maxSamples);
+        if (mOptions.parts > 1) choosePart();
+    }
+
+    /// This part's roots, and around them what decisions about them depend on.
+    void choosePart()
+    {
+        const std::vector<CellKey> all = Octree(mPlan.box, mPlan.levels).roots();
+        const auto bound = [&](int part) {
+            return all.size() * static_cast<std::size_t>(part)
+                / static_cast<std::size_t>(mOptions.parts);
+        };
+        const std::size_t first = bound(mOptions.part - 1), last = bound(mOptions.part);
+        if (first == last) {
+            throw Error(ErrorCode::Usage,
+                "There are only " + std::to_string(all.size()) + " cells of the coarsest level for "
+                    + std::to_string(mOptions.parts) + " parts; take fewer parts or fewer levels.");
+        }
+        mOwnRoots.assign(all.begin() + static_cast<std::ptrdiff_t>(first),
+            all.begin() + static_cast<std::ptrdiff_t>(last));
+        std::vector<CellKey> near;
+        const int reach = kPartHalo << mPlan.levels;
+        for (const CellKey& root : all) {
+            const bool close
+                = std::any_of(mOwnRoots.begin(), mOwnRoots.end(), [&](const CellKey& own) {
+                      const Coord d = root.origin - own.origin;
+                      return std::max({std::abs(d.x), std::abs(d.y), std::abs(d.z)}) <= reach;
+                  });
+            if (close) near.push_back(root);
+        }
+        mRefiner->setRoots(near);
+    }
+
+    bool isOwn(const CellKey& cell) const
+    {
+        if (mOwnRoots.empty()) return true;
+        CellKey root = cell;
+        while (root.level < mPlan.levels) root = root.parent();
+        return std::binary_search(mOwnRoots.begin(), mOwnRoots.end(), root);
+    }
+
+    IrradianceVolume runOnce()
+    {
+        {
+            Seconds time(mReport.secondsTrace);
+            mCells = mRefiner->run(mOptions.refine.error, mProgress);
+        }
+        return assemble();
+    }
+
+    IrradianceVolume runToTarget();
+    void reconsiderGradients();
+    void spendWhatIsLeft(double& threshold);
+    AchievedError verify(const IrradianceVolume& volume, std::size_t count, int round);
+    void drawPoints(std::size_t count, std::uint64_t key, EvaluateOptions& evaluate) const;
+    double nextThreshold(double threshold) const;
+    void summarise(double threshold, int rounds);
+
+    IrradianceVolume build(const std::vector<CellKey>& cells) const;
+    static void limitGradients(IrradianceVolume& volume);
+    IrradianceVolume assemble();
+
+    const Tracer& mTracer;
+    const BakeOptions& mOptions;
+    BakePlan mPlan;
+    BakeReport& mReport;
+    Progress& mProgress;
+    std::unique_ptr<SampleStore> mStore;
+    std::unique_ptr<Refiner> mRefiner;
+    std::vector<CellKey> mOwnRoots; // sorted; empty: all
+    RefinedCells mCells;
+    std::uint64_t mDroppedRays = 0;
+};
+
+IrradianceVolume AdaptiveBake::build(const std::vector<CellKey>& cells) const
+{
+    const SampleSettings& s = mPlan.samples;
+    const bool gradients = s.gradients != GradientMethod::None;
+    // Levels chosen here leave room for finer cells than it turns out to need; the file does
+    // without. Not so a lattice that was asked for, or that parts have to share.
+    int finest = 0;
+    if (mOptions.spacing == 0 && mOptions.parts == 1) {
+        finest = kMaxLevel;
+        for (const CellKey& cell : cells) finest = std::min(finest, cell.level);
+    }
+    const int step = 1 << finest;
+    VolumeBuilder builder(s.bands,
+        gradients ? GradientStorage::PerCoefficient : GradientStorage::None,
+        latticeTransform(s.spacing * step));
+    for (const CellKey& cell : cells) builder.addCell(cell.origin / step, cell.level - finest);
+    IrradianceVolume volume = builder.build();
+    const std::size_t stride
+        = static_cast<std::size_t>(volume.coefficients()) * (gradients ? 4 : 1);
+    std::vector<Vec3f> offsets(volume.sampleCount());
+    bool moved = false;
+    for (SampleId id = 0; id < volume.sampleCount(); ++id) {
+        const std::size_t i = mStore->find(volume.samplePosition(id) * step);
+        const SampleStore::Info& info = mStore->info(i);
+        std::copy(mStore->radiance(i), mStore->radiance(i) + stride, volume.radiance(id));
+        volume.validity(id) = info.validity;
+        volume.distance(id) = info.distance;
+        offsets[id] = info.offset;
+        moved = moved || info.offset != Vec3f(0.0f);
+    }
+    if (moved) volume.setOffsets(std::move(offsets));
+    if (gradients) limitGradients(volume);
+    LatticeBox box;
+    for (int a = 0; a < 3; ++a) {
+        box.lower[a] = mPlan.box.lower[a] >> finest;
+        box.upper[a] = (mPlan.box.upper[a] + step - 1) >> finest;
+    }
+    volume.metadata().bounds = box;
+    return volume;
+}
+
+/// To what they are used for: the largest cell around each sample.
+void AdaptiveBake::limitGradients(IrradianceVolume& volume)
+{
+    std::vector<int> level(volume.sampleCount(), 0);
+    for (CellId id = 0; id < static_cast<CellId>(volume.cellCount()); ++id) {
+        const Cell& cell = volume.cell(id);
+        for (const SampleId s : cell.corners) level[s] = std::max(level[s], cell.level);
+    }
+    for (SampleId s = 0; s < volume.sampleCount(); ++s) {
+        const float factor = gradientFactor(volume.distance(s), volume.spacing() * (1 << level[s]));
+        Color* gradient = volume.gradient(s);
+        for (int i = 0; i < 3 * volume.coefficients(); ++i) gradient[i] *= factor;
+    }
+}
+
+IrradianceVolume AdaptiveBake::assemble()
+{
+    Seconds time(mReport.secondsRefine);
+    IrradianceVolume volume = build(mCells.cells);
+    fillInvalid(volume);
+    if (!mOwnRoots.empty()) {
+        // What was filled depends on neighbours, which belong to other parts.
+        std::vector<CellKey> own;
+        for (const CellKey& cell : mCells.cells) {
+            if (isOwn(cell)) own.push_back(cell);
+        }
+        IrradianceVolume part = build(own);
+        const std::size_t stride
+            = static_cast<std::size_t>(part.coefficients()) * (part.hasGradients() ? 4 : 1);
+        for (SampleId id = 0; id < part.sampleCount(); ++id) {
+            const auto from = static_cast<SampleId>(volume.findSample(part.samplePosition(id)));
+            std::copy(volume.radiance(from), volume.radiance(from) + stride, part.radiance(id));
+        }
+        volume = std::move(part);
+    }
+    if (mOptions.visibility) {
+        mReport.cutCells = computeVisibility(volume, mTracer, 0, &mProgress).cutCells;
+    }
+    return volume;
+}
+
+/// Half of the points evenly, half where the bake thinks it is wrong; weights undo that.
+void AdaptiveBake::drawPoints(std::size_t count, std::uint64_t key, EvaluateOptions& evaluate) const
+{
+    const double h = mPlan.samples.spacing;
+    const LatticeBox& box = mPlan.box;
+    std::vector<double> sums;
+    double total = 0;
+    for (double c : mCells.contribution) sums.push_back(total += c);
+    const auto cellShare = [&](const CellKey& cell) {
+        double share = 1;
+        for (int a = 0; a < 3; ++a) {
+            const int low = std::max(cell.origin[a], box.lower[a]);
+            const int high = std::min(cell.origin[a] + cell.size(), box.upper[a]);
+            share *= static_cast<double>(high - low) / (box.upper[a] - box.lower[a]);
+        }
+        return share;
+    };
+    const bool mixed = total > 0 && std::isfinite(total);
+    for (std::size_t i = 0; i < count; ++i) {
+        CounterRng rng(hashCombine(key, i));
+        Vec3d lower(box.lower.x, box.lower.y, box.lower.z),
+            upper(box.upper.x, box.upper.y, box.upper.z);
+        if (mixed && i % 2 == 1) {
+            const auto it = std::upper_bound(sums.begin(), sums.end(), rng.nextDouble() * total);
+            const std::size_t chosen
+                = std::min(static_cast<std::size_t>(it - sums.begin()), sums.size() - 1);
+            const CellKey& cell = mCells.cells[chosen];
+            for (int a = 0; a < 3; ++a) {
+                lower[a] = std::max(cell.origin[a], box.lower[a]);
+                upper[a] = std::min(cell.origin[a] + cell.size(), box.upper[a]);
+            }
+        }
+        Vec3d p;
+        for (int a = 0; a < 3; ++a) p[a] = lower[a] + rng.nextDouble() * (upper[a] - lower[a]);
+        evaluate.givenPoints.push_back(p * h);
+        if (!mixed) continue;
+        // Density of this point over the even one: of the mixture, whichever half it came from.
+        double density = 1;
+        const Coord voxel(static_cast<int>(std::floor(p.x)), static_cast<int>(std::floor(p.y)),
+            static_cast<int>(std::floor(p.z)));
+        for (int level = 0; level <= mPlan.levels; ++level) {
+            CellKey cell{voxel, 0};
+            for (int l = 0; l < level; ++l) cell = cell.parent();
+            const auto found = std::lower_bound(mCells.cells.begin(), mCells.cells.end(), cell);
+            if (found == mCells.cells.end() || !(*found == cell)) continue;
+            const auto index = static_cast<std::size_t>(found - mCells.cells.begin());
+            density = 0.5 + 0.5 * mCells.contribution[index] / total / cellShare(cell);
+        }
+        evaluate.weights.push_back(1 / density);
+    }
+}
+
+AchievedError AdaptiveBake::verify(const IrradianceVolume& volume, std::size_t count, int round)
+{
+    Seconds time(mReport.secondsVerify);
+    EvaluateOptions evaluate;
+    evaluate.mode = VolumeSampler::bestMode(volume);
+    evaluate.contribution = mOptions.probe.contribution;
+    evaluate.maxBounces = mOptions.probe.maxBounces;
+    const double wanted
+        = std::pow(mPlan.noisePerRay / (kReferenceShare * mOptions.target.error), 2);
+    evaluate.rays = static_cast<int>(std::clamp(wanted, 256.0, kMaxReferenceRays));
+    evaluate.seed = hashCombine(
+        mixBits(mOptions.probe.seed ^ kVerifyStream), static_cast<std::uint64_t>(round));
+    // Each of several looks may pass by luck: they share the risk.
+    evaluate.confidence = 1 - (1 - mOptions.target.confidence) / 2;
+    drawPoints(count, evaluate.seed, evaluate);
+    const EvaluateReport r = evaluateVolume(volume, mTracer, evaluate, &mProgress);
+    AchievedError achieved;
+    achieved.relRmse = r.relRmseDebiased;
+    achieved.upper = r.upper;
+    achieved.confidence = mOptions.target.confidence;
+    achieved.points = r.points;
+    achieved.met = r.upper <= mOptions.target.error;
+    for (const auto& w : r.worst) achieved.worst.push_back({w.position, w.error});
+    return achieved;
+}
+
+/// After the coarse levels: whether gradients make interpolation so much better that they are worth
+/// four times the memory.
+void AdaptiveBake::reconsiderGradients()
+{
+    if (!mOptions.target.chooseGradients || mPlan.samples.gradients == GradientMethod::None) return;
+    const double with = mRefiner->rmsSurplus(true), without = mRefiner->rmsSurplus(false);
+    const bool pay = without > kGradientsPay * with;
+    mReport.decisions.push_back(std::string("gradients ") + (pay ? "analytic" : "none")
+        + ": with them the surplus is " + percentText(with) + " of the mean irradiance, without "
+        + percentText(without));
+    if (pay) return;
+    mPlan.samples.gradients = GradientMethod::None;
+    mDroppedRays += mStore->rays();
+    start();
+}
+
+/// Lower, in proportion to how far interpolation alone has to go.
+double AdaptiveBake::nextThreshold(double threshold) const
+{
+    const AchievedError& a = mReport.achieved;
+    const double noise
+        = mPlan.noisePerRay / std::sqrt(static_cast<double>(mPlan.samples.probe.rays));
+    const double fixed2 = std::pow(mPlan.truncation, 2) + 0.3 * noise * noise;
+    const double target2 = std::pow(mOptions.target.error, 2);
+    const double now = std::sqrt(std::max(1e-12, a.upper * a.upper - fixed2));
+    const double wanted = std::sqrt(std::max(0.05 * target2, target2 - fixed2));
+    return threshold * std::clamp(std::pow(wanted / now, 1.2), 0.25, 0.8);
+}
+
+void AdaptiveBake::summarise(double threshold, int rounds)
+{
+    const AchievedError& a = mReport.achieved;
+    mReport.decisions.push_back("error threshold " + percentText(threshold) + " in the coarsest "
+        + "cells, after " + std::to_string(rounds) + " rounds of measuring at new points");
+    if (a.met) return;
+    mReport.warnings.push_back("The target error " + percentText(mOptions.target.error)
+        + " is not met: " + percentText(a.relRmse) + " was reached, at most " + percentText(a.upper)
+        + " with " + percentText(a.confidence) + " confidence, after "
+        + std::to_string(mStore->size()) + " samples."
+        + (mPlan.truncation >= mOptions.target.error
+                ? " What " + std::to_string(mPlan.samples.bands) + " bands leave out alone is "
+                    + percentText(mPlan.truncation) + "."
+                : ""));
+}
+
+/// Where the samples end before a round does, the lowest threshold that they suffice for.
+void AdaptiveBake::spendWhatIsLeft(double& threshold)
+{
+    Seconds time(mReport.secondsTrace);
+    for (int i = 0; i < 12 && mRefiner->isLimited(); ++i) {
+        threshold *= 1.3;
+        mCells = mRefiner->run(threshold, mProgress);
+    }
+}
+
+IrradianceVolume AdaptiveBake::runToTarget()
+{
+    double threshold = 2 * mOptions.target.error;
+    std::size_t points = kVerifyPoints;
+    for (int round = 0;; ++round) {
+        {
+            Seconds time(mReport.secondsTrace);
+            mCells = mRefiner->run(threshold, mProgress);
+            if (round == 0) {
+                reconsiderGradients();
+                if (mStore->size() == 0) mCells = mRefiner->run(threshold, mProgress);
+            }
+        }
+        const bool limited = mRefiner->isLimited();
+        if (limited) spendWhatIsLeft(threshold);
+        IrradianceVolume volume = assemble();
+        const bool hopeless = mPlan.truncation >= mOptions.target.error;
+        const bool last = limited || round + 1 == (hopeless ? kHopelessRounds : kMaxRounds);
+        for (;;) {
+            mReport.achieved = verify(volume, points, round * 16 + static_cast<int>(points >> 9));
+            // Good enough, but too few points to be sure: look at more before tracing more.
+            const bool unsure
+                = !mReport.achieved.met && mReport.achieved.relRmse < 0.95 * mOptions.target.error;
+            if (!unsure || points >= kMaxVerifyPoints) break;
+            points *= 2;
+        }
+        if (mReport.achieved.met || last) {
+            summarise(threshold, round + 1);
+            VolumeMetadata& m = volume.metadata();
+            m.errorAsked = mOptions.target.error;
+            m.errorReached = mReport.achieved.upper;
+            m.errorConfidence = mReport.achieved.confidence;
+            return volume;
+        }
+        threshold = nextThreshold(threshold);
+    }
+}
+
+} // namespace
+
+IrradianceVolume bakeAdaptive(const Tracer& tracer, const BakeOptions& options,
+    const BakePlan& plan, BakeReport& report, Progress& progress)
+{
+    return AdaptiveBake(tracer, options, plan, report, progress).run();
+}
+
+} // namespace lumivdb

@@ -1,0 +1,240 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "bake_plan.h"
+
+#include "pilot.h"
+
+#include <lumivdb/core/error.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+namespace lumivdb {
+
+namespace {
+
+/// Rounding allowed when bounds are snapped to the lattice, in lattice steps.
+constexpr double kSnap = 1e-6;
+/// Root cells along the bounds' longest side where levels are chosen here.
+constexpr double kRootsAlongSide = 4;
+constexpr int kDefaultLevels = 4;
+/// With a target, the finest spacing is out of reach in practice: samples are the limit.
+constexpr int kTargetLevels = 8;
+constexpr std::size_t kPilotPoints = 256;
+constexpr int kPilotRays = 256, kTargetPilotRays = 1024;
+/// Shares of a target that the pieces may take, as standard deviations; the rest is for
+/// interpolation.
+constexpr double kTruncationShare = 0.6, kNoiseShare = 0.5;
+/// What dropped bands may change where bands are chosen without a target.
+constexpr double kTruncation = 0.005;
+
+int latticeFloor(double v) { return static_cast<int>(std::floor(v + kSnap)); }
+int latticeCeil(double v) { return static_cast<int>(std::ceil(v - kSnap)); }
+
+LatticeBox latticeBox(const Box3d& bounds, double spacing)
+{
+    LatticeBox box;
+    for (int a = 0; a < 3; ++a) {
+        const double low = bounds.min[a] / spacing, high = bounds.max[a] / spacing;
+        if (!(std::abs(low) < 1e9 && std::abs(high) < 1e9)) {
+            throw Error(ErrorCode::Usage,
+                "The bounds lie " + shortText(std::max(std::abs(low), std::abs(high)))
+                    + " samples from the origin, beyond the lattice's 1e9; take a larger spacing.");
+        }
+        box.lower[a] = latticeFloor(low);
+        box.upper[a] = std::max(latticeCeil(high), box.lower[a] + 1);
+    }
+    return box;
+}
+
+/// Rounded down to 1, 2 or 5 × 10^k, kMinSpacing at least.
+double roundedDown(double v)
+{
+    if (v < kMinSpacing) return kMinSpacing;
+    const double decade = std::pow(10.0, std::floor(std::log10(v) + 1e-12));
+    const double steps = v / decade * (1 + 1e-12);
+    return decade * (steps >= 5 ? 5 : steps >= 2 ? 2 : 1);
+}
+
+/// The 1, 2 or 5 × 10^k nearest to it by ratio.
+double roundedNice(double v)
+{
+    const double low = roundedDown(v), high = roundedDown(2.5 * low * (1 + 1e-9));
+    return v / low < high / v ? low : high;
+}
+
+double longestSide(const Box3d& box)
+{
+    if (box.isEmpty()) return 0;
+    const Vec3d size = box.size();
+    return std::max({size.x, size.y, size.z});
+}
+
+class Planner {
+public:
+    Planner(const Tracer& tracer, const BakeOptions& options, BakeReport& report)
+        : mTracer(tracer)
+        , mOptions(options)
+        , mReport(report)
+    {
+        mAdaptive = options.levels != 0 || options.target.error > 0;
+    }
+
+    BakePlan plan(Progress& progress)
+    {
+        mPlan.samples.probe = mOptions.probe;
+        mPlan.samples.bands = mOptions.bands;
+        mPlan.samples.gradients = mOptions.gradients;
+        chooseLattice();
+        if (mAdaptive || mOptions.bands == 0) look(progress);
+        return mPlan;
+    }
+
+private:
+    bool hasTarget() const { return mOptions.target.error > 0; }
+    void decide(const std::string& sentence) { mReport.decisions.push_back(sentence); }
+
+    void chooseLattice()
+    {
+        const Box3d sceneBounds = mTracer.scene().bounds();
+        Box3d bounds = mOptions.bounds.value_or(sceneBounds);
+        const double side = longestSide(bounds);
+        double h = mOptions.spacing;
+        mPlan.levels = mAdaptive ? mOptions.levels : 0;
+        const bool chooseLevels = mAdaptive && mOptions.levels <= 0;
+        if (chooseLevels) {
+            mPlan.levels = hasTarget() ? kTargetLevels : kDefaultLevels;
+            if (h > 0) {
+                const double roots = side > 0 ? side / (kRootsAlongSide * h) : 1;
+                mPlan.levels
+                    = std::clamp(static_cast<int>(std::floor(std::log2(std::max(1.0, roots)))), 1,
+                        kTargetLevels);
+            }
+        }
+        if (h == 0) {
+            h = mAdaptive && side > 0 ? std::max(
+                    kMinSpacing, roundedNice(side / kRootsAlongSide) / std::pow(2.0, mPlan.levels))
+                                      : defaultSpacing(sceneBounds);
+            decide("spacing " + shortText(h)
+                + (mAdaptive
+                        ? ": cells of the coarsest level are about a quarter of the longest side"
+                        : ": a twentieth of the scene's longest side, rounded down to 1, 2 or "
+                          "5 times a power of ten"));
+        }
+        if (chooseLevels) {
+            decide("levels " + std::to_string(mPlan.levels) + ": cells from " + shortText(h)
+                + " to " + shortText(h * std::pow(2.0, mPlan.levels)));
+        }
+        mPlan.samples.spacing = h;
+        growBounds(bounds, h);
+    }
+
+    void growBounds(Box3d bounds, double h)
+    {
+        if (!mOptions.bounds && bounds.isEmpty()) {
+            bounds = Box3d(Vec3d(-1.0), Vec3d(1.0));
+            decide("bounds -1 to 1: the scene has no geometry");
+        } else if (!mOptions.bounds) {
+            bounds.min -= Vec3d(h);
+            bounds.max += Vec3d(h);
+        }
+        mPlan.box = latticeBox(bounds, h);
+        const Coord size = mPlan.box.upper - mPlan.box.lower;
+        const double samples = (size.x + 1.0) * (size.y + 1.0) * (size.z + 1.0);
+        if (!mAdaptive && samples > 2147483647.0) {
+            throw Error(ErrorCode::Usage,
+                "spacing " + shortText(h) + " over these bounds needs " + shortText(samples)
+                    + " samples, more than 2^31; take a larger spacing or smaller bounds.");
+        }
+    }
+
+    void look(Progress& progress)
+    {
+        ProbeOptions probe = mOptions.probe;
+        probe.rays = hasTarget() ? kTargetPilotRays : kPilotRays;
+        const double h = mPlan.samples.spacing;
+        const auto world = [&](const Coord& c) { return Vec3d(c.x, c.y, c.z) * h; };
+        const Pilot pilot = lookAhead(mTracer, probe,
+            Box3d(world(mPlan.box.lower), world(mPlan.box.upper)), kPilotPoints, progress);
+        mPlan.meanE = pilot.meanE;
+        mPlan.noisePerRay = pilot.noisePerRay;
+        mReport.rays += pilot.rays;
+        if (mOptions.bands == 0) chooseBands(pilot);
+        mPlan.truncation = pilot.truncation[static_cast<std::size_t>(mPlan.samples.bands)];
+        if (hasTarget() && mOptions.target.chooseRays) chooseRays(pilot);
+        if (hasTarget() && mOptions.target.chooseGradients) {
+            mPlan.samples.gradients = GradientMethod::Analytic;
+        }
+    }
+
+    void chooseBands(const Pilot& pilot)
+    {
+        const double limit = hasTarget() ? kTruncationShare * mOptions.target.error : kTruncation;
+        int bands = 1, best = 1;
+        for (int b = 1; b <= kMaxBands; ++b) {
+            const auto i = static_cast<std::size_t>(b);
+            if (pilot.truncation[i] < pilot.truncation[static_cast<std::size_t>(best)]) best = b;
+        }
+        while (bands < best && pilot.truncation[static_cast<std::size_t>(bands)] > limit) ++bands;
+        mPlan.samples.bands = bands;
+        std::string why = "bands " + std::to_string(bands) + ": what they leave out is "
+            + percentText(pilot.truncation[static_cast<std::size_t>(bands)])
+            + " of the mean irradiance";
+        if (bands > 1) {
+            why += "; " + std::to_string(bands - 1) + " would leave out "
+                + percentText(pilot.truncation[static_cast<std::size_t>(bands) - 1]);
+        }
+        if (bands < kMaxBands) {
+            why += "; " + std::to_string(kMaxBands) + " would leave out "
+                + percentText(pilot.truncation[kMaxBands]);
+        }
+        decide(why);
+    }
+
+    void chooseRays(const Pilot& pilot)
+    {
+        const double wanted
+            = std::pow(pilot.noisePerRay / (kNoiseShare * mOptions.target.error), 2);
+        int rays = 64;
+        while (rays < wanted && rays < (1 << 20)) rays *= 2;
+        mPlan.samples.probe.rays = rays;
+        decide("rays " + std::to_string(rays) + " per sample: standard error "
+            + percentText(pilot.noisePerRay / std::sqrt(rays)) + " of the mean irradiance");
+    }
+
+    const Tracer& mTracer;
+    const BakeOptions& mOptions;
+    BakeReport& mReport;
+    BakePlan mPlan;
+    bool mAdaptive;
+};
+
+} // namespace
+
+std::string shortText(double v)
+{
+    char text[32];
+    std::snprintf(text, sizeof text, "%.6g", v);
+    return text;
+}
+
+std::string percentText(double v)
+{
+    char text[32];
+    std::snprintf(text, sizeof text, "%.2g%%", 100 * v);
+    return text;
+}
+
+double defaultSpacing(const Box3d& sceneBounds)
+{
+    const double side = longestSide(sceneBounds);
+    return side > 0 ? roundedDown(side / 20) : 0.1;
+}
+
+BakePlan planBake(
+    const Tracer& tracer, const BakeOptions& options, BakeReport& report, Progress& progress)
+{
+    return Planner(tracer, options, report).plan(progress);
+}
+
+} // namespace lumivdb

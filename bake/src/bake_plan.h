@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+/// @file bake_plan.h
+/// A bake with everything decided that can be decided before the first sample.
+
+#include "sample_baker.h"
+
+#include <lumivdb/bake/bake.h>
+
+namespace lumivdb {
+
+struct BakePlan {
+    SampleSettings samples;
+    LatticeBox box; ///< cells with lower ≤ origin < upper are asked for
+    int levels = 0;
+    /// From the pilot; zero where there was no need of one.
+    Vec3d meanE{0, 0, 0};
+    double noisePerRay = 0, truncation = 0;
+};
+
+/// Fills in what @a options leave open and says why in @a report.
+BakePlan planBake(
+    const Tracer& tracer, const BakeOptions& options, BakeReport& report, Progress& progress);
+
+/// %g text of a number for sentences.
+std::string shortText(double v);
+/// A relative quantity as percent.
+std::string percentText(double v);
+
+/// A bake with levels: see bakeVolume(). Fills everything of @a report but the seconds of a whole.
+IrradianceVolume bakeAdaptive(const Tracer& tracer, const BakeOptions& options,
+    const BakePlan& plan, BakeReport& report, Progress& progress);
+
+} // namespace lumivdb

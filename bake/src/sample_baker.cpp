@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "sample_baker.h"
+
+#include <lumivdb/bake/bake.h>
+#include <lumivdb/bake/visibility.h>
+
+#include <lumivdb/core/random.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+namespace lumivdb {
+
+namespace {
+
+/// A sample closer to a surface than half this share of the spacing is moved off it, by this share.
+constexpr double kOnSurface = 1e-3;
+/// The same in sizes of the scene: rays begin at single-precision positions.
+constexpr double kSceneClearance = 2e-6;
+
+/// A_l² / 4π for every coefficient.
+std::array<double, kMaxCoefficients> irradianceWeights()
+{
+    std::array<double, kMaxCoefficients> w;
+    for (int i = 0; i < kMaxCoefficients; ++i) {
+        const double a = kCosineLobe[static_cast<std::size_t>(degreeOf(i))];
+        w[static_cast<std::size_t>(i)] = a * a / (4 * 3.14159265358979323846);
+    }
+    return w;
+}
+
+} // namespace
+
+Vec3d irradianceNorm2(int bands, const Color* d)
+{
+    static const std::array<double, kMaxCoefficients> weights = irradianceWeights();
+    Vec3d sum(0.0);
+    for (int i = 0; i < coefficientCount(bands); ++i) {
+        const Vec3d v(d[i]);
+        sum += v * v * weights[static_cast<std::size_t>(i)];
+    }
+    return sum;
+}
+
+SampleBaker::SampleBaker(const Tracer& tracer, const SampleSettings& settings)
+    : mTracer(tracer)
+    , mSettings(settings)
+    , mClearance(kOnSurface * settings.spacing)
+    , mEstimator(tracer, settings.probe)
+{
+    const Box3d bounds = tracer.scene().bounds();
+    if (!bounds.isEmpty()) {
+        mClearance = std::max(
+            mClearance, std::min(0.1 * settings.spacing, kSceneClearance * bounds.size().length()));
+    }
+}
+
+BakedSample SampleBaker::bake(const Coord& c, ProbeEstimator::Workspace& workspace) const
+{
+    const std::uint64_t key = hashPoint(mSettings.probe.seed, c.x, c.y, c.z);
+    const bool analytic = mSettings.gradients == GradientMethod::Analytic;
+    const Vec3d lattice = world(c);
+    Vec3d p = moveOffSurfaces(mTracer, lattice, mClearance);
+    BakedSample sample;
+    const auto measure = [&](const Vec3d& place) {
+        ProbeResult r = mEstimator.radianceSh(place, mSettings.bands, key, workspace, analytic);
+        sample.rays += r.rays;
+        return r;
+    };
+    sample.result = measure(p);
+    if (sample.result.validity < kValidThreshold) {
+        const auto outside = relocated(mTracer, lattice, mSettings.spacing, mClearance);
+        ProbeResult moved;
+        if (outside && (moved = measure(*outside)).validity >= kValidThreshold) {
+            sample.result = std::move(moved);
+            p = *outside;
+        }
+    }
+    sample.offset = Vec3f(p - lattice);
+    sample.variance = Color(irradianceNorm2(mSettings.bands, sample.result.stderr_.data()));
+    if (mSettings.gradients != GradientMethod::None) addGradient(p, key, workspace, sample);
+    return sample;
+}
+
+void SampleBaker::addGradient(const Vec3d& p, std::uint64_t key,
+    ProbeEstimator::Workspace& workspace, BakedSample& sample) const
+{
+    ProbeResult& r = sample.result;
+    if (mSettings.gradients == GradientMethod::Central) {
+        sample.rays += centralGradient(
+            mTracer, mEstimator, p, mSettings.bands, mSettings.spacing, key, workspace, r);
+    }
+    limitGradient(mSettings.gradientReach, r);
+}
+
+} // namespace lumivdb

@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+/// @file sample_baker.h
+/// One sample of a volume: a lattice point in, its record out.
+
+#include <lumivdb/bake/probe.h>
+
+namespace lumivdb {
+
+struct SampleSettings {
+    ProbeOptions probe;
+    int bands = 3;
+    GradientMethod gradients = GradientMethod::None;
+    double spacing = 1; ///< of the lattice
+    /// How far gradients will be used, see gradientFactor(); 0: not yet known, they stay whole.
+    double gradientReach = 0;
+};
+
+struct BakedSample {
+    ProbeResult result;
+    Vec3f offset{0, 0, 0}; ///< from the lattice point to where it was measured, world units
+    Color variance; ///< of E, averaged over normals: Σ A_l² var(L_lm) / 4π
+    std::uint64_t rays = 0;
+};
+
+class SampleBaker {
+public:
+    SampleBaker(const Tracer& tracer, const SampleSettings& settings);
+    /// The record of lattice point @a c. The same point, settings and scene give the same bits. A
+    /// point on a surface is moved off it, one inside geometry out of it where that is near.
+    BakedSample bake(const Coord& c, ProbeEstimator::Workspace& workspace) const;
+    Vec3d world(const Coord& c) const { return Vec3d(c.x, c.y, c.z) * mSettings.spacing; }
+    const SampleSettings& settings() const { return mSettings; }
+
+private:
+    void addGradient(const Vec3d& p, std::uint64_t key, ProbeEstimator::Workspace& workspace,
+        BakedSample& sample) const;
+    const Tracer& mTracer;
+    SampleSettings mSettings;
+    double mClearance; // distance kept from surfaces, world units
+    ProbeEstimator mEstimator;
+};
+
+/// Σ A_l² |d_lm|² / 4π per channel: the mean over normals of the squared irradiance of @a d.
+Vec3d irradianceNorm2(int bands, const Color* d);
+
+} // namespace lumivdb
