@@ -13,6 +13,10 @@
 
 #include <nlohmann/json.hpp>
 
+#include <algorithm>
+#include <cmath>
+#include <sstream>
+
 namespace lumivdb::cli {
 
 namespace {
@@ -28,63 +32,124 @@ public:
 
 private:
     void declareGrid(Arguments& arguments);
+    void declareRefinement(Arguments& arguments);
     void declareTracing(Arguments& arguments);
     void declareOther(Arguments& arguments);
     BakeOptions bakeOptions(const Arguments& arguments) const;
     void finishMetadata(BakeResult& result, const Arguments& arguments) const;
     Json report(const BakeResult& result, const Scene& scene, const BakeSeconds& seconds) const;
     void summarise(const BakeResult& result, const BakeSeconds& seconds) const;
+    void judge(const AchievedError& a) const;
 
     CommonOptions mCommon;
     SceneOptions mScene;
     VolumeOutput mOutput;
     BakeOptions mBake;
-    std::optional<double> mSpacing;
+    std::optional<double> mSpacing, mTargetError;
     std::string mUpAxis = "y";
 };
 
-/// An option of later versions: said clearly instead of being unknown.
-void declareUnavailable(Arguments& arguments, const std::string& name, const std::string& valueName,
-    const std::string& instead)
+/// An integer of a range, or "auto" for @a automatic.
+void declareOrAuto(Arguments& arguments, const std::string& name, const std::string& valueName,
+    int& target, int automatic, const Range& range, const std::string& help)
 {
-    const auto convert = [name, instead](const std::string&) {
-        failUsage(name + ": this version bakes uniform volumes only; " + instead + ".");
-    };
-    arguments.repeated(name, valueName, convert, "not in this version: " + instead);
-}
-
-void declareBands(Arguments& arguments, int& bands)
-{
-    const auto convert = [&bands](const std::string& value) {
-        if (value == "auto") {
-            failValue("--bands", value, "this version does not choose bands; give 1 to 6");
-        }
+    const auto convert = [&target, automatic, range, name](const std::string& value) {
         const auto number = parseInteger(value);
-        if (!number || *number < 1 || *number > kMaxBands) {
-            failValue("--bands", value, "not an integer from 1 to 6");
+        if (value == "auto") {
+            target = automatic;
+        } else if (!number || !range.contains(static_cast<double>(*number))) {
+            failValue(name, value, "not an integer from " + range.text() + ", nor auto");
+        } else {
+            target = static_cast<int>(*number);
         }
-        bands = static_cast<int>(*number);
     };
-    arguments.custom("--bands", "N", convert,
-        "SH bands of the radiance: N*N coefficients a sample; 3 is off by a few percent under "
-        "concentrated light, 5 repairs it [1 to 6; default "
-            + std::to_string(bands) + "]");
+    arguments.custom(name, valueName + "|auto", convert,
+        help + " [" + range.text() + " or auto; default " + std::to_string(target)
+            + ", auto with --target-error]");
 }
 
-void declareGradients(Arguments& arguments, GradientMethod& gradients)
+const std::vector<std::pair<std::string, RefineHeuristic>>& heuristics()
 {
-    const auto convert = [&gradients](const std::string& value) {
-        if (value == "analytic") {
-            failValue("--gradients", value, "this version has no analytic gradients; use central");
+    static const std::vector<std::pair<std::string, RefineHeuristic>> words
+        = {{"error", RefineHeuristic::Error}, {"gradient", RefineHeuristic::Gradient},
+            {"geometry", RefineHeuristic::Geometry}, {"harmonic", RefineHeuristic::Harmonic},
+            {"brute", RefineHeuristic::Brute}};
+    return words;
+}
+
+void declareHeuristics(Arguments& arguments, std::vector<RefineHeuristic>& target)
+{
+    const auto convert = [&target](const std::string& value) {
+        target.clear();
+        std::istringstream list(value);
+        for (std::string word; std::getline(list, word, ',');) {
+            const auto& words = heuristics();
+            const auto found = std::find_if(
+                words.begin(), words.end(), [&](const auto& w) { return w.first == word; });
+            if (found == words.end()) {
+                failValue("--refine", value,
+                    "'" + word + "' is not one of error|gradient|geometry|harmonic|brute");
+            }
+            target.push_back(found->second);
         }
-        if (value != "none" && value != "central") {
-            failValue("--gradients", value, "not one of none|central");
-        }
-        gradients = value == "central" ? GradientMethod::Central : GradientMethod::None;
+        if (target.empty()) failValue("--refine", value, "names no heuristic");
     };
-    arguments.custom("--gradients", "none|central", convert,
-        "derivatives of every coefficient; central: six more projections a sample, spacing/8 away "
-        "[default none]");
+    arguments.custom("--refine", "LIST", convert,
+        "what splits a cell, comma list of: error (what the sample in the middle has over the "
+        "interpolation), gradient, geometry, harmonic (mean distance below the cell's width), "
+        "brute (split all, merge what is redundant) [default error]");
+}
+
+void declareThresholds(Arguments& arguments, RefineOptions& refine)
+{
+    const auto convert = [&refine](const std::string& value) {
+        const auto equals = value.find('=');
+        const std::string word = value.substr(0, equals);
+        const auto number
+            = equals == std::string::npos ? std::nullopt : parseReal(value.substr(equals + 1));
+        if (!number || *number < 0) {
+            failValue("--refine-threshold", value, "not NAME=V with a number V of 0 or more");
+        }
+        if (word == "error") {
+            refine.error = *number;
+        } else if (word == "gradient") {
+            refine.gradient = *number;
+        } else if (word == "harmonic") {
+            refine.harmonic = *number;
+        } else if (word == "brute") {
+            refine.brute = *number;
+        } else if (word == "cull") {
+            refine.cull = *number;
+        } else if (word == "geometry" && *number == std::floor(*number) && *number <= kMaxLevel) {
+            refine.geometry = static_cast<int>(*number);
+        } else {
+            failValue("--refine-threshold", value,
+                "not one of error|gradient|harmonic|brute|cull=V, geometry=LEVEL");
+        }
+    };
+    arguments.repeated("--refine-threshold", "NAME=V", convert,
+        "of a heuristic: error=0.05 (share of the mean irradiance, in the coarsest cells), "
+        "gradient=0.5 (the same share, across a cell), geometry=0 (level to go down to), "
+        "harmonic=1 (cell widths), brute=0.05, cull (children are merged below it; default a "
+        "quarter of error, or brute)");
+}
+
+void declarePart(Arguments& arguments, BakeOptions& bake)
+{
+    const auto convert = [&bake](const std::string& value) {
+        const auto slash = value.find('/');
+        const auto part = parseInteger(value.substr(0, slash));
+        const auto parts
+            = slash == std::string::npos ? std::nullopt : parseInteger(value.substr(slash + 1));
+        if (!part || !parts || *part < 1 || *parts < *part || *parts > 1000000) {
+            failValue("--part", value, "not I/N with 1 <= I <= N");
+        }
+        bake.part = static_cast<int>(*part);
+        bake.parts = static_cast<int>(*parts);
+    };
+    arguments.custom("--part", "I/N", convert,
+        "bake part I of N of an adaptive volume, on a machine of its own; 'lumivdb resample' joins "
+        "parts to the very bytes of the whole");
 }
 
 void BakeCommand::declareGrid(Arguments& arguments)
@@ -93,26 +158,49 @@ void BakeCommand::declareGrid(Arguments& arguments)
     arguments.box("--bounds", mBake.bounds,
         "box to fill, scene units; grown to whole cells [default: the scene's box, one cell "
         "larger]");
-    arguments.real("--spacing", mSpacing, greaterThan(0), "distance between samples, scene units",
-        "from the scene's size, printed");
-    declareUniformLevels(arguments);
-    declareBands(arguments, mBake.bands);
-    declareGradients(arguments, mBake.gradients);
+    arguments.real("--spacing", mSpacing, greaterThan(0),
+        "finest distance between samples, scene units", "from the scene's size, printed");
+    declareOrAuto(arguments, "--levels", "K", mBake.levels, -1, between(0, kMaxLevel),
+        "coarser levels above it: cells up to spacing * 2^K; 0: uniform");
+    declareOrAuto(arguments, "--bands", "N", mBake.bands, 0, between(1, kMaxBands),
+        "SH bands of the radiance: N*N coefficients a sample; 3 is off by a few percent under "
+        "concentrated light, 5 repairs it");
+    arguments.choice<GradientMethod>("--gradients", mBake.gradients,
+        {{"none", GradientMethod::None}, {"central", GradientMethod::Central},
+            {"analytic", GradientMethod::Analytic}},
+        "derivatives of every coefficient; analytic: from the same rays; central: six more "
+        "projections a sample, spacing/8 away; chosen with --target-error");
+    arguments.choice<bool>("--visibility", mBake.visibility, {{"on", true}, {"off", false}},
+        "masks that keep light on its side of walls in cells that geometry cuts");
     arguments.choice<std::string>("--up", mUpAxis, {{"y", "y"}, {"z", "z"}},
         "up axis of the file; z turns grid and coefficients for Z-up programs such as Blender");
+}
+
+void BakeCommand::declareRefinement(Arguments& arguments)
+{
+    arguments.section("Error and refinement");
+    arguments.real("--target-error", mTargetError, between(1e-4, 1),
+        "relative RMS error of irradiance to meet, e.g. 0.02, proven on points the bake does not "
+        "use; whatever is not given is then chosen. Exit code 1 where it cannot be met; the "
+        "volume is written all the same",
+        "none");
+    arguments.real(
+        "--confidence", mBake.target.confidence, between(0.51, 0.9999), "of that proof, one-sided");
+    arguments.size("--max-samples", mBake.target.maxSamples, between(1000, 1e9),
+        "samples to trace before giving up");
+    declareHeuristics(arguments, mBake.refine.heuristics);
+    declareThresholds(arguments, mBake.refine);
+    declarePart(arguments, mBake);
 }
 
 void BakeCommand::declareTracing(Arguments& arguments)
 {
     arguments.section("Tracing");
-    arguments.integer("--rays", mBake.probe.rays, between(2, 67108864), "directions per sample");
+    arguments.integer("--rays", mBake.probe.rays, between(2, 67108864),
+        "directions per sample; chosen with --target-error");
     declareLightTransport(arguments, mBake.probe.contribution, mBake.probe.maxBounces);
     declareIntegrator(arguments);
     arguments.seed("--seed", mBake.probe.seed, "random numbers; same seed, same bits");
-    declareUnavailable(arguments, "--target-error", "E",
-        "choose --spacing, --bands and --rays, and measure with 'lumivdb evaluate'");
-    declareUnavailable(arguments, "--refine", "LIST", "choose a smaller --spacing");
-    declareUnavailable(arguments, "--refine-threshold", "NAME=V", "choose a smaller --spacing");
 }
 
 void BakeCommand::declareOther(Arguments& arguments)
@@ -127,6 +215,10 @@ void BakeCommand::declareOther(Arguments& arguments)
     arguments.example("lumivdb bake sponza.glb --env sky.hdr --sun-direction 0.3,1,0.2 --sun-lux 8 "
                       "--spacing 0.5 --rays 4096 -o sponza.vdb --json -",
         "an atrium under a sky and a sun; the report goes to standard output");
+    arguments.example("lumivdb bake room.glb --target-error 0.02 -o room.vdb",
+        "as many samples, bands and rays as a proven error of 2% takes, where they are needed");
+    arguments.example("lumivdb bake room.glb --spacing 0.05 --levels 4 -o room.vdb",
+        "cells from 0.05 to 0.8, small where the light changes");
 }
 
 void BakeCommand::declare(Arguments& arguments)
@@ -135,6 +227,7 @@ void BakeCommand::declare(Arguments& arguments)
     mScene.declareLight(arguments);
     mScene.declareLightGroup(arguments, "[default: all light]");
     declareGrid(arguments);
+    declareRefinement(arguments);
     declareTracing(arguments);
     declareOther(arguments);
 }
@@ -146,6 +239,14 @@ BakeOptions BakeCommand::bakeOptions(const Arguments& arguments) const
     options.lightGroup = mScene.lightGroup;
     options.commandLine = arguments.commandLine();
     options.threads = mCommon.threads;
+    const bool refines = arguments.given("--refine") || arguments.given("--refine-threshold");
+    if (refines && !arguments.given("--levels")) options.levels = -1;
+    if (mTargetError) {
+        options.target.error = *mTargetError;
+        if (!arguments.given("--bands")) options.bands = 0;
+        options.target.chooseRays = !arguments.given("--rays");
+        options.target.chooseGradients = !arguments.given("--gradients");
+    }
     options.validate();
     return options;
 }
@@ -154,10 +255,23 @@ void BakeCommand::finishMetadata(BakeResult& result, const Arguments& arguments)
 {
     VolumeMetadata& metadata = result.volume.metadata();
     metadata.options = arguments.commandLine();
-    if (!mSpacing) metadata.options += " --spacing " + toText(result.report.spacing);
+    if (!mSpacing && !mTargetError)
+        metadata.options += " --spacing " + toText(result.report.spacing);
     if (mUpAxis == "y") return;
     result.volume = transformVolume(result.volume, upAxisRotation("y", mUpAxis));
     result.volume.metadata().upAxis = mUpAxis;
+}
+
+Json achieved(const AchievedError& a)
+{
+    if (a.points == 0) return {{"rel_rmse", nullptr}, {"confidence", nullptr}, {"points", nullptr}};
+    Json json = {{"rel_rmse", a.upper}, {"confidence", a.confidence}, {"points", a.points},
+        {"estimate", a.relRmse}, {"met", a.met}};
+    json["worst"] = Json::array();
+    for (const AchievedError::Place& w : a.worst) {
+        json["worst"].push_back({{"position", jsonOf(w.position)}, {"error", w.error}});
+    }
+    return json;
 }
 
 Json BakeCommand::report(
@@ -170,9 +284,9 @@ Json BakeCommand::report(
     json["rays"] = baked.rays;
     json["rays_per_second"] = baked.raysPerSecond;
     json["seconds"] = {{"load", seconds.load}, {"build", seconds.build}, {"trace", seconds.trace},
-        {"refine", 0.0}, {"write", seconds.write}};
-    json["target_error"] = nullptr;
-    json["achieved"] = {{"rel_rmse", nullptr}, {"confidence", nullptr}, {"points", nullptr}};
+        {"refine", baked.secondsRefine}, {"verify", baked.secondsVerify}, {"write", seconds.write}};
+    json["target_error"] = mTargetError ? Json(*mTargetError) : Json(nullptr);
+    json["achieved"] = achieved(baked.achieved);
     json["decisions"] = baked.decisions;
     json["warnings"] = mCommon.console.warnings();
     json["spacing"] = baked.spacing;
@@ -189,16 +303,43 @@ Json BakeCommand::report(
 void BakeCommand::summarise(const BakeResult& result, const BakeSeconds& seconds) const
 {
     const BakeReport& baked = result.report;
-    const double total = seconds.load + seconds.build + seconds.trace + seconds.write;
+    const double total = seconds.load + seconds.build + seconds.trace + baked.secondsRefine
+        + baked.secondsVerify + seconds.write;
     const Console& console = mCommon.console;
+    std::string levels;
+    for (const std::uint64_t n : baked.cellsByLevel) levels += " " + grouped(n);
+    if (baked.cellsByLevel.size() > 1) console.note("Cells by level, finest first:" + levels + ".");
+    if (baked.achieved.points > 0) {
+        console.note("Error: " + rounded(100 * baked.achieved.relRmse, 3) + "%, at most "
+            + rounded(100 * baked.achieved.upper, 3) + "% with "
+            + rounded(100 * baked.achieved.confidence, 4) + "% confidence, at "
+            + grouped(baked.achieved.points) + " points that the bake did not use.");
+    }
     console.note(grouped(baked.samples) + " samples " + rounded(baked.spacing) + " apart, "
         + std::to_string(result.volume.bands()) + " bands; " + grouped(baked.rays) + " rays, "
         + rounded(baked.raysPerSecond / 1e6, 3) + " million a second; standard error of E "
         + rounded(100 * baked.meanRelativeStderr, 2) + "% on average.");
     console.note("'" + mOutput.path + "': " + humanBytes(fileBytes(mOutput.path)) + " after "
         + humanSeconds(total) + " (load " + humanSeconds(seconds.load) + ", build "
-        + humanSeconds(seconds.build) + ", trace " + humanSeconds(seconds.trace) + ", write "
-        + humanSeconds(seconds.write) + ").");
+        + humanSeconds(seconds.build) + ", trace " + humanSeconds(seconds.trace) + ", refine "
+        + humanSeconds(baked.secondsRefine) + ", verify " + humanSeconds(baked.secondsVerify)
+        + ", write " + humanSeconds(seconds.write) + ").");
+}
+
+void BakeCommand::judge(const AchievedError& a) const
+{
+    if (!mTargetError || a.met) return;
+    std::string places;
+    for (std::size_t i = 0; i < a.worst.size() && i < 3; ++i) {
+        const Vec3d& p = a.worst[i].position;
+        places += (i > 0 ? ", (" : " (") + rounded(p.x, 4) + ", " + rounded(p.y, 4) + ", "
+            + rounded(p.z, 4) + ")";
+    }
+    throw Error(ErrorCode::BoundNotMet,
+        "'" + mOutput.path + "': the target error " + rounded(*mTargetError)
+            + " was not met; the volume was written with an error of at most " + rounded(a.upper, 3)
+            + ". It is worst at" + places
+            + ": raise --max-samples, or leave thin walls and lamps out with --bounds.");
 }
 
 void BakeCommand::run(const Arguments& arguments)
@@ -219,7 +360,8 @@ void BakeCommand::run(const Arguments& arguments)
     throwIfInterrupted();
     seconds.build = watch.restart();
     BakeResult result = bakeVolume(tracer, options, &progress);
-    seconds.trace = watch.restart();
+    const double baking = watch.restart();
+    seconds.trace = baking - result.report.secondsRefine - result.report.secondsVerify;
     finishMetadata(result, arguments);
     mOutput.write(result.volume, progress);
     seconds.write = watch.restart();
@@ -229,6 +371,7 @@ void BakeCommand::run(const Arguments& arguments)
     for (const std::string& decision : result.report.decisions) mCommon.console.note(decision);
     summarise(result, seconds);
     mCommon.writeJson(report(result, *scene, seconds));
+    judge(result.report.achieved);
 }
 
 } // namespace

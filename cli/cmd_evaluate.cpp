@@ -131,6 +131,8 @@ Json reportJson(const EvaluateReport& r, Interpolation mode)
 {
     Json json;
     json["rel_rmse"] = r.relRmse;
+    json["rel_rmse_debiased"] = r.relRmseDebiased;
+    json["upper95"] = r.upper;
     json["p50"] = r.p50;
     json["p95"] = r.p95;
     json["p99"] = r.p99;
@@ -153,7 +155,10 @@ Json reportJson(const EvaluateReport& r, Interpolation mode)
 void EvaluateCommand::print(const EvaluateReport& r) const
 {
     const auto percent = [](double x) { return rounded(100 * x, 4) + "%"; };
-    std::string out = table({{"rel_rmse", percent(r.relRmse)}, {"p50", percent(r.p50)},
+    std::string out = table({{"rel_rmse", percent(r.relRmse)},
+        {"  without the reference's noise",
+            percent(r.relRmseDebiased) + ", at most " + percent(r.upper) + " (95%)"},
+        {"p50", percent(r.p50)},
         {"p95", percent(r.p95)}, {"p99", percent(r.p99)}, {"max", percent(r.max)},
         {"bias", percent(r.bias)}, {"reference_stderr", percent(r.referenceStderr)},
         {"points",

@@ -21,12 +21,6 @@ namespace lumivdb::cli {
 
 namespace {
 
-/// What is known of one point.
-struct Probed {
-    ProbeResult light;
-    std::vector<Color> gradient[3]; ///< per world unit along x, y, z; empty where not asked for
-};
-
 class ProbeCommand : public Command {
 public:
     void declare(Arguments& arguments) override;
@@ -35,11 +29,9 @@ public:
 private:
     void declareTracing(Arguments& arguments);
     void validate(const Arguments& arguments) const;
-    std::vector<Probed> probeAll(
+    std::vector<ProbeResult> probeAll(
         const Tracer& tracer, const std::vector<Vec3d>& points, Progress& progress) const;
-    Probed probeOne(const ProbeEstimator& estimator, const Vec3d& p, std::uint64_t key,
-        ProbeEstimator::Workspace& workspace) const;
-    void print(const std::vector<Vec3d>& points, const std::vector<Probed>& probed) const;
+    void print(const std::vector<Vec3d>& points, const std::vector<ProbeResult>& probed) const;
 
     CommonOptions mCommon;
     SceneOptions mScene;
@@ -48,7 +40,7 @@ private:
     int mBands = 3;
     GradientMethod mGradients = GradientMethod::None;
     std::optional<double> mDelta;
-    double mStep = 0; // world units, of central differences
+    double mStep = 0; // world units, of central differences away from surfaces
 };
 
 /// Share of the scene's diagonal to which a point on a surface is moved off it.
@@ -91,10 +83,12 @@ void ProbeCommand::declareTracing(Arguments& arguments)
     arguments.integer("--rays", mProbe.rays, between(2, 67108864), "directions per point");
     arguments.integer("--bands", mBands, between(1, kMaxBands), "SH bands: N*N coefficients");
     arguments.choice<GradientMethod>("--gradients", mGradients,
-        {{"none", GradientMethod::None}, {"central", GradientMethod::Central}},
-        "derivatives of the coefficients from six more probes with the same directions; in the "
-        "JSON only");
-    arguments.real("--delta", mDelta, greaterThan(0), "distance of those probes, scene units",
+        {{"none", GradientMethod::None}, {"central", GradientMethod::Central},
+            {"analytic", GradientMethod::Analytic}},
+        "derivatives of the coefficients, from six more probes with the same directions or from "
+        "the same rays; in the JSON only");
+    arguments.real("--delta", mDelta, greaterThan(0),
+        "distance of the six probes, scene units; less near surfaces, to stay before them",
         "an eighth of the spacing that bake would choose");
     declareLightTransport(arguments, mProbe.contribution, mProbe.maxBounces);
     declareIntegrator(arguments);
@@ -124,7 +118,7 @@ void ProbeCommand::declare(Arguments& arguments)
     mCommon.declareQuiet(arguments);
     arguments.example(
         "echo 0,1,0 | lumivdb probe room.glb --points - --rays 65536", "the light at one point");
-    arguments.example("lumivdb probe room.glb --points p.csv --gradients central --json -",
+    arguments.example("lumivdb probe room.glb --points p.csv --gradients analytic --json -",
         "with gradients and standard errors, as JSON");
 }
 
@@ -134,66 +128,57 @@ void ProbeCommand::validate(const Arguments& arguments) const
     validateLightTransport(mProbe.contribution, mProbe.maxBounces);
     mProbe.validate();
     const bool central = mGradients == GradientMethod::Central;
-    if (central && mCommon.json.empty()) {
-        failUsage("--gradients central has no effect without --json; give --json FILE or -.");
+    if (mGradients != GradientMethod::None && mCommon.json.empty()) {
+        failUsage(std::string("--gradients ") + (central ? "central" : "analytic")
+            + " has no effect without --json; give --json FILE or -.");
     }
     if (mDelta && !central) {
         failUsage("--delta has no effect without --gradients central; give both or none.");
     }
 }
 
-Probed ProbeCommand::probeOne(const ProbeEstimator& estimator, const Vec3d& p, std::uint64_t key,
-    ProbeEstimator::Workspace& workspace) const
-{
-    Probed probed;
-    probed.light = estimator.radianceSh(p, mBands, key, workspace);
-    if (mGradients == GradientMethod::None) return probed;
-    for (int axis = 0; axis < 3; ++axis) {
-        Vec3d step(0.0);
-        step[axis] = mStep;
-        const ProbeResult above = estimator.radianceSh(p + step, mBands, key, workspace);
-        const ProbeResult below = estimator.radianceSh(p - step, mBands, key, workspace);
-        const auto inverse = static_cast<float>(1 / (2 * mStep));
-        for (std::size_t i = 0; i < above.value.size(); ++i) {
-            probed.gradient[axis].push_back((above.value[i] - below.value[i]) * inverse);
-        }
-    }
-    return probed;
-}
-
-std::vector<Probed> ProbeCommand::probeAll(
+std::vector<ProbeResult> ProbeCommand::probeAll(
     const Tracer& tracer, const std::vector<Vec3d>& points, Progress& progress) const
 {
     const ProbeEstimator estimator(tracer, mProbe);
     const Box3d box = tracer.scene().bounds();
     const double clearance = box.isEmpty() ? 0 : kOnSurface * box.size().length();
-    std::vector<Probed> probed(points.size());
+    std::vector<ProbeResult> probed(points.size());
     tbb::enumerable_thread_specific<ProbeEstimator::Workspace> workspaces;
     progress.begin("trace points", points.size());
     const auto body = [&](std::size_t i) {
         throwIfInterrupted();
         const Vec3d p = clearance > 0 ? moveOffSurfaces(tracer, points[i], clearance) : points[i];
-        probed[i] = probeOne(estimator, p, keyOf(mProbe.seed, points[i]), workspaces.local());
+        const std::uint64_t key = keyOf(mProbe.seed, points[i]);
+        ProbeEstimator::Workspace& workspace = workspaces.local();
+        probed[i] = estimator.radianceSh(
+            p, mBands, key, workspace, mGradients == GradientMethod::Analytic);
+        if (mGradients == GradientMethod::Central) {
+            centralGradient(tracer, estimator, p, mBands, 8 * mStep, key, workspace, probed[i]);
+        }
         progress.advance(1);
     };
     tbb::parallel_for(std::size_t(0), points.size(), body);
     return probed;
 }
 
-void ProbeCommand::print(const std::vector<Vec3d>& points, const std::vector<Probed>& probed) const
+void ProbeCommand::print(
+    const std::vector<Vec3d>& points, const std::vector<ProbeResult>& probed) const
 {
     std::vector<std::string> columns{"x", "y", "z", "validity", "distance", "stderr"};
     appendShColumns(columns, coefficientCount(mBands));
     RowWriter rows(std::move(columns), !mCommon.jsonToStdout(), !mCommon.json.empty());
     for (std::size_t i = 0; i < points.size(); ++i) {
         const Vec3d& p = points[i];
-        const ProbeResult& light = probed[i].light;
+        const ProbeResult& light = probed[i];
         std::vector<double> values{p.x, p.y, p.z, jsonNumber(light.validity),
             jsonNumber(light.distance), averageStderr(light)};
         appendShValues(values, light.value.data(), coefficientCount(mBands));
         std::vector<std::pair<std::string, Json>> more{{"sh_stderr", jsonOf(light.stderr_)}};
-        for (int axis = 0; axis < 3 && !probed[i].gradient[0].empty(); ++axis) {
-            more.emplace_back(std::string("sh_d") + "xyz"[axis], jsonOf(probed[i].gradient[axis]));
+        for (int axis = 0; axis < 3 && !light.gradient.empty(); ++axis) {
+            const auto first = light.gradient.begin() + axis * coefficientCount(mBands);
+            more.emplace_back(std::string("sh_d") + "xyz"[axis],
+                jsonOf(std::vector<Color>(first, first + coefficientCount(mBands))));
         }
         rows.add(values, more);
     }
@@ -212,7 +197,7 @@ void ProbeCommand::run(const Arguments& arguments)
     ProgressBar progress(mCommon.console.progressStyle());
     const Tracer tracer(scene, &progress);
     throwIfInterrupted();
-    const std::vector<Probed> probed = probeAll(tracer, points.positions, progress);
+    const std::vector<ProbeResult> probed = probeAll(tracer, points.positions, progress);
     progress.finish();
     print(points.positions, probed);
 }

@@ -89,20 +89,19 @@ void declareMode(
     static const std::vector<std::pair<std::string, Interpolation>> kModes
         = {{"nearest", Interpolation::Nearest}, {"taylor", Interpolation::Taylor},
             {"trilinear", Interpolation::Trilinear}, {"gradient", Interpolation::Gradient},
-            {"idw", Interpolation::InverseDistance}};
+            {"tricubic", Interpolation::Tricubic}, {"idw", Interpolation::InverseDistance}};
     const std::string names = "--mode";
     const auto convert = [&mode, names](const std::string& given) {
-        if (given == "tricubic") {
-            failValue(names, given, "this version has no tricubic interpolation; use gradient");
-        }
         for (const auto& [word, value] : kModes) {
             if (word == given) mode = value;
         }
-        if (!mode) failValue(names, given, "not one of nearest|taylor|trilinear|gradient|idw");
+        if (!mode) {
+            failValue(names, given, "not one of nearest|taylor|trilinear|gradient|tricubic|idw");
+        }
     };
     arguments.custom(names, "MODE", convert,
-        "interpolation: nearest, taylor, trilinear, gradient or idw (inverse distance); taylor and "
-        "gradient need a volume with gradients [default: "
+        "interpolation: nearest, taylor, trilinear, gradient, tricubic or idw (inverse distance); "
+        "taylor, gradient and tricubic need a volume with gradients [default: "
             + whenAbsent + "]");
 }
 
@@ -115,20 +114,6 @@ Interpolation modeFor(const std::optional<Interpolation>& mode, const Irradiance
             + "' has no gradients; use trilinear, or bake with --gradients central.");
     }
     return *mode;
-}
-
-void declareUniformLevels(Arguments& arguments)
-{
-    const auto convert = [](const std::string& value) {
-        const auto levels = parseInteger(value);
-        if (!levels || *levels < 0) failValue("--levels", value, "not a number of levels; give 0");
-        if (*levels > 0) {
-            failValue("--levels", value,
-                "this version makes uniform volumes only; use 0 and choose the --spacing");
-        }
-    };
-    arguments.custom("--levels", "K", convert,
-        "coarser levels above the spacing; this version makes uniform volumes only: 0 [default 0]");
 }
 
 Json jsonOf(const Vec3d& v) { return Json::array({v.x, v.y, v.z}); }

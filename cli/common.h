@@ -95,9 +95,6 @@ void declareMode(Arguments& arguments, std::optional<Interpolation>& mode,
 Interpolation modeFor(const std::optional<Interpolation>& mode, const IrradianceVolume& volume,
     const std::string& path);
 
-/// Declares --levels for the contract: 0 is all this version makes.
-void declareUniformLevels(Arguments& arguments);
-
 Json jsonOf(const Vec3d& v);
 Json jsonOf(const Box3d& box); ///< [x0,y0,z0,x1,y1,z1], null when empty
 Json jsonOf(const Color& c); ///< shortest decimals
@@ -118,5 +115,6 @@ std::unique_ptr<Command> makeEvaluateCommand();
 std::unique_ptr<Command> makeProjectCommand();
 std::unique_ptr<Command> makeResampleCommand();
 std::unique_ptr<Command> makeRenderCommand();
+std::unique_ptr<Command> makeBenchCommand();
 
 } // namespace lumivdb::cli

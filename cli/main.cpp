@@ -28,6 +28,7 @@ constexpr CommandEntry kCommands[] = {
         makeResampleCommand},
     {"render", "Writes a picture of a scene lit by a volume, or a slice of the volume.",
         makeRenderCommand},
+    {"bench", "Measures speed against error over scenes and settings.", makeBenchCommand},
 };
 
 std::string programHelp()

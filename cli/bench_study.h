@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+/// @file bench_study.h
+/// What `lumivdb bench` measures: which configurations, on which scene, against which reference.
+
+#include <lumivdb/bake/bake.h>
+
+#include <string>
+#include <vector>
+
+namespace lumivdb::cli {
+
+/// A bake, and the ways in which its volume is then queried.
+struct BenchConfiguration {
+    double spacing = 0;
+    int levels = 0; ///< 0: uniform
+    double threshold = 0; ///< of error-driven refinement, where there are levels
+    int bands = 3;
+    GradientMethod gradients = GradientMethod::None;
+    std::vector<Interpolation> modes;
+    double expectedCost = 0; ///< in any unit, for the estimate of the time left
+};
+
+const char* name(GradientMethod gradients);
+
+/// The configurations of a scene of this size; @a finest is the smallest spacing of all.
+/// @a quick leaves out all but the telling ones.
+std::vector<BenchConfiguration> benchConfigurations(const Box3d& bounds, double finest, bool quick);
+
+/// One configuration and one interpolation.
+struct BenchRow {
+    std::string scene;
+    BenchConfiguration configuration;
+    Interpolation mode = Interpolation::Trilinear;
+    double bakeSeconds = 0;
+    std::uint64_t rays = 0, samples = 0, bytes = 0; ///< bytes of the sampler
+    double queryNs = 0;
+    double relRmse = 0, p50 = 0, p95 = 0, p99 = 0, referenceStderr = 0;
+    /// No other row of the scene has less error for the same seconds (bytes) or fewer of them for
+    /// the same error.
+    bool bestForSeconds = false, bestForBytes = false;
+};
+
+/// Sets the last two of all rows.
+void markPareto(std::vector<BenchRow>& rows);
+
+/// Irradiance at random free points of a scene's box, traced once for all of its volumes.
+class BenchReference {
+public:
+    /// @throws Error(Input) where the box has no free points, Error(Interrupted).
+    BenchReference(
+        const Tracer& tracer, std::size_t points, int rays, std::uint64_t seed, Progress& progress);
+
+    /// Fills the row's query time, bytes and errors, as EvaluateReport defines them.
+    void measure(const IrradianceVolume& volume, BenchRow& row) const;
+
+private:
+    struct Point {
+        Vec3d position;
+        std::vector<Color> irradiance, error; // per normal
+    };
+    void tracePoints(
+        const ProbeEstimator& estimator, std::size_t begin, std::size_t count, Progress& progress);
+    double queryNs(const VolumeSampler& sampler) const;
+
+    Box3d mBounds;
+    std::uint64_t mSeed;
+    std::vector<Vec3f> mNormals;
+    std::vector<Point> mPoints;
+};
+
+} // namespace lumivdb::cli
