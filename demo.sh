@@ -22,8 +22,8 @@ run() { # prints a command as it could be typed, then runs it
     "$@"
 }
 
-run $lumivdb bake samples/house.glb --env samples/sky.hdr --spacing 0.5 \
-    --bounds -10,0,-10,10,5,10 --bands 5 --rays 1024 -o demo_output/house.vdb
+run $lumivdb bake samples/house.glb --env samples/sky.hdr --bounds -10,0,-10,10,5,10 \
+    --target-error 0.1 -o demo_output/house.vdb
 run $lumivdb stats demo_output/house.vdb
 run $lumivdb evaluate demo_output/house.vdb --scene samples/house.glb --env samples/sky.hdr \
     --points 300 --rays 2048

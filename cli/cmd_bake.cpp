@@ -81,7 +81,7 @@ void declareHeuristics(Arguments& arguments, std::vector<RefineHeuristic>& targe
 {
     const auto convert = [&target](const std::string& value) {
         target.clear();
-        std::istringstream list(value);
+        std::istringstream list(value + (value.back() == ',' ? "," : ""));
         for (std::string word; std::getline(list, word, ',');) {
             const auto& words = heuristics();
             const auto found = std::find_if(
@@ -107,8 +107,10 @@ void declareThresholds(Arguments& arguments, RefineOptions& refine)
         const std::string word = value.substr(0, equals);
         const auto number
             = equals == std::string::npos ? std::nullopt : parseReal(value.substr(equals + 1));
-        if (!number || *number < 0) {
-            failValue("--refine-threshold", value, "not NAME=V with a number V of 0 or more");
+        const bool zero = word == "geometry" || word == "cull";
+        if (!number || *number < 0 || (*number == 0 && !zero)) {
+            failValue("--refine-threshold", value,
+                std::string("not NAME=V with a number V ") + (zero ? "of 0 or more" : "above 0"));
         }
         if (word == "error") {
             refine.error = *number;
@@ -241,6 +243,15 @@ BakeOptions BakeCommand::bakeOptions(const Arguments& arguments) const
     options.threads = mCommon.threads;
     const bool refines = arguments.given("--refine") || arguments.given("--refine-threshold");
     if (refines && !arguments.given("--levels")) options.levels = -1;
+    if (refines && options.levels == 0 && !mTargetError) {
+        failUsage("--levels 0 makes a uniform volume, where nothing is refined; leave --refine and "
+                  "--refine-threshold out, or give more levels.");
+    }
+    for (const char* option : {"--confidence", "--max-samples"}) {
+        if (arguments.given(option) && !mTargetError) {
+            failUsage(std::string(option) + " belongs to --target-error; give that too.");
+        }
+    }
     if (mTargetError) {
         options.target.error = *mTargetError;
         if (!arguments.given("--bands")) options.bands = 0;
@@ -255,7 +266,8 @@ void BakeCommand::finishMetadata(BakeResult& result, const Arguments& arguments)
 {
     VolumeMetadata& metadata = result.volume.metadata();
     metadata.options = arguments.commandLine();
-    if (!mSpacing && !mTargetError)
+    if (!mSpacing && !mTargetError && mBake.levels == 0 && !arguments.given("--refine")
+        && !arguments.given("--refine-threshold"))
         metadata.options += " --spacing " + toText(result.report.spacing);
     if (mUpAxis == "y") return;
     result.volume = transformVolume(result.volume, upAxisRotation("y", mUpAxis));

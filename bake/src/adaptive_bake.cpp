@@ -130,6 +130,7 @@ private:
     void reconsiderGradients();
     void spendWhatIsLeft(double& threshold);
     AchievedError verify(const IrradianceVolume& volume, std::size_t count, int round);
+    EvaluateReport judge(const IrradianceVolume& volume, const EvaluateOptions& evaluate) const;
     void drawPoints(std::size_t count, std::uint64_t key, EvaluateOptions& evaluate) const;
     double nextThreshold(double threshold) const;
     void summarise(double threshold, int rounds);
@@ -148,6 +149,7 @@ private:
     std::vector<CellKey> mOwnRoots; // sorted; empty: all
     RefinedCells mCells;
     std::uint64_t mDroppedRays = 0;
+    int mLooks = 0; // verifications so far
 };
 
 IrradianceVolume AdaptiveBake::build(const std::vector<CellKey>& cells) const
@@ -284,6 +286,17 @@ void AdaptiveBake::drawPoints(std::size_t count, std::uint64_t key, EvaluateOpti
     }
 }
 
+EvaluateReport AdaptiveBake::judge(
+    const IrradianceVolume& volume, const EvaluateOptions& evaluate) const
+{
+    try {
+        return evaluateVolume(volume, mTracer, evaluate, &mProgress);
+    } catch (const Error& e) {
+        if (e.code() != ErrorCode::Interrupted) throw;
+        throw Error(e.code(), "The bake was interrupted; nothing was written.");
+    }
+}
+
 AchievedError AdaptiveBake::verify(const IrradianceVolume& volume, std::size_t count, int round)
 {
     Seconds time(mReport.secondsVerify);
@@ -293,13 +306,16 @@ AchievedError AdaptiveBake::verify(const IrradianceVolume& volume, std::size_t c
     evaluate.maxBounces = mOptions.probe.maxBounces;
     const double wanted
         = std::pow(mPlan.noisePerRay / (kReferenceShare * mOptions.target.error), 2);
-    evaluate.rays = static_cast<int>(std::clamp(wanted, 256.0, kMaxReferenceRays));
+    const double most = std::clamp(8.0 * mPlan.samples.probe.rays, 1024.0, kMaxReferenceRays);
+    evaluate.rays = static_cast<int>(std::clamp(wanted, 256.0, most));
     evaluate.seed = hashCombine(
         mixBits(mOptions.probe.seed ^ kVerifyStream), static_cast<std::uint64_t>(round));
-    // Each of several looks may pass by luck: they share the risk.
-    evaluate.confidence = 1 - (1 - mOptions.target.confidence) / 2;
+    // Each look may pass by luck. The risks of all add up to what the confidence allows: shares
+    // 1/2, 1/6, 1/12, … = 1/(k(k+1)) of it.
+    ++mLooks;
+    evaluate.confidence = 1 - (1 - mOptions.target.confidence) / (mLooks * (mLooks + 1.0));
     drawPoints(count, evaluate.seed, evaluate);
-    const EvaluateReport r = evaluateVolume(volume, mTracer, evaluate, &mProgress);
+    const EvaluateReport r = judge(volume, evaluate);
     AchievedError achieved;
     achieved.relRmse = r.relRmseDebiased;
     achieved.upper = r.upper;
@@ -343,7 +359,8 @@ void AdaptiveBake::summarise(double threshold, int rounds)
 {
     const AchievedError& a = mReport.achieved;
     mReport.decisions.push_back("error threshold " + percentText(threshold) + " in the coarsest "
-        + "cells, after " + std::to_string(rounds) + " rounds of measuring at new points");
+        + "cells, after " + std::to_string(rounds) + (rounds == 1 ? " round" : " rounds")
+        + " of measuring at new points");
     if (a.met) return;
     mReport.warnings.push_back("The target error " + percentText(mOptions.target.error)
         + " is not met: " + percentText(a.relRmse) + " was reached, at most " + percentText(a.upper)

@@ -156,6 +156,9 @@ void BakeOptions::validate() const
     if (parts > 1 && levels == 0) {
         refuse("Parts are for adaptive bakes; give a uniform one separate bounds instead.");
     }
+    if (parts > 1 && spacing == 0) {
+        refuse("Parts must share one lattice; give the spacing.");
+    }
     if (!bounds) return;
     for (int a = 0; a < 3; ++a) {
         if (!(bounds->min[a] < bounds->max[a]) || !std::isfinite(bounds->min[a])

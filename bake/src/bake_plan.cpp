@@ -221,7 +221,7 @@ std::string shortText(double v)
 std::string percentText(double v)
 {
     char text[32];
-    std::snprintf(text, sizeof text, "%.2g%%", 100 * v);
+    std::snprintf(text, sizeof text, "%.3g%%", 100 * v);
     return text;
 }
 

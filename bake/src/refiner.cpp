@@ -272,7 +272,7 @@ double Refiner::rmsSurplus(bool gradients) const
 /// Whether @a points more samples are allowed.
 bool Refiner::mayGrow(std::size_t points)
 {
-    if (mStore.size() + points <= mMaxSamples) return true;
+    if (points == 0 || mStore.size() + points <= mMaxSamples) return true;
     mLimited = true;
     return false;
 }

@@ -15,17 +15,18 @@ SKY = SAMPLES / "sky.hdr"
 
 # Flags that each sub-command must name in its help.
 FLAGS = {
-    "bake": "-o --env --env-scale --env-rotate --bounds --spacing --bands --gradients --rays "
-            "--max-bounces --contribution --up --half --codec --light-group --json --threads "
-            "--seed --quiet",
+    "bake": "-o --env --env-scale --env-rotate --bounds --spacing --levels --bands --gradients "
+            "--visibility --target-error --confidence --max-samples --refine --refine-threshold "
+            "--part --rays --max-bounces --contribution --integrator --up --half --codec "
+            "--light-group --json --threads --seed --quiet",
     "probe": "--points --rays --bands --env --contribution --json --threads --seed",
     "query": "--points --mode --sh --json",
     "stats": "--json",
     "evaluate": "--scene --env --points --rays --mode --max-error --points-file --json --threads "
                 "--seed",
     "project": "--bands --irradiance --shader",
-    "resample": "-o --spacing --uniform --bands --gradients --crop --up --transform --half --scale "
-                "--add",
+    "resample": "-o --spacing --uniform --levels --tolerance --bands --gradients --crop --up "
+                "--transform --half --scale --add",
     "render": "--volume -o",
 }
 
@@ -142,10 +143,12 @@ class Furnace(CliCase):
         for key in ("samples", "cells_by_level", "rays", "rays_per_second", "seconds",
                     "target_error", "achieved", "decisions", "warnings"):
             self.assertIn(key, report)
-        for key in ("load", "build", "trace", "refine", "write"):
+        for key in ("load", "build", "trace", "refine", "verify", "write"):
             self.assertIn(key, report["seconds"])
+        # Nothing was asked, so nothing was measured.
+        self.assertIsNone(report["target_error"])
         for key in ("rel_rmse", "confidence", "points"):
-            self.assertIn(key, report["achieved"])
+            self.assertIsNone(report["achieved"][key])
         self.assertEqual(report["samples"], 27)  # 1 m in steps of 0.5 m: 3 x 3 x 3 corners
         self.assertEqual(report["cells_by_level"], [8])
         self.assertGreaterEqual(report["rays"], 27 * 16)
@@ -164,7 +167,7 @@ class Furnace(CliCase):
                     "leaf_nodes", "tiles_by_size", "spacing", "bounds", "file_bytes",
                     "runtime_bytes", "bytes_per_sample", "uniform_equivalent_samples", "channels",
                     "band_energy", "invalid_fraction", "negative_irradiance_fraction", "gradient",
-                    "error", "options", "scene_hash"):
+                    "error", "options", "scene_hash", "cut_cells", "moved_samples"):
             self.assertIn(key, stats)
         for key in ("name", "type", "min", "max", "mean", "nan", "active_voxels", "tiles"):
             self.assertIn(key, stats["channels"][0])
@@ -241,8 +244,8 @@ class Furnace(CliCase):
     def test_evaluate(self):
         report = self.json("evaluate", self.volume, "--scene", FURNACE, "--points", "20", "--rays",
                            "4096", "--quiet")
-        for key in ("rel_rmse", "p50", "p95", "p99", "max", "bias", "reference_stderr", "points",
-                    "normals", "mode", "query_ns", "worst"):
+        for key in ("rel_rmse", "rel_rmse_debiased", "upper95", "p50", "p95", "p99", "max", "bias",
+                    "reference_stderr", "points", "normals", "mode", "query_ns", "worst"):
             self.assertIn(key, report)
         self.assertEqual(report["points"], 20)
         self.assertLess(report["rel_rmse"], 0.06)

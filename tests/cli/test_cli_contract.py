@@ -9,9 +9,11 @@ import subprocess
 import time
 import unittest
 
+import vdb_bytes as vb
 from harness import PROGRAM, SAMPLES, CliCase, run
 
 FURNACE = SAMPLES / "furnace.glb"
+ROOMS = SAMPLES / "two_rooms_door.glb"
 COMMANDS = ("bake", "probe", "query", "stats", "evaluate", "project", "resample", "render")
 
 
@@ -70,12 +72,34 @@ class Usage(CliCase):
         self.assertNotIn("did you mean", self.fails(2, "bake", "--qwertyuiop"))
 
     def test_what_this_version_lacks_is_said(self):
-        for option, value in (("--levels", "2"), ("--target-error", "0.02"), ("--refine", "error"),
-                              ("--refine-threshold", "error=1"), ("--bands", "auto"),
-                              ("--gradients", "analytic"), ("--integrator", "cached")):
-            with self.subTest(option=option):
-                self.fails(2, "bake", FURNACE, "-o", "x.vdb", option, value,
-                           says=[option, "this version"])
+        self.fails(2, "bake", FURNACE, "-o", "x.vdb", "--integrator", "cached",
+                   says=["--integrator cached", "this version"])
+
+    def test_bad_values_of_refinement(self):
+        integers, parts = "not an integer from 0 to 12, nor auto", "not I/N with 1 <= I <= N"
+        name_value, numbers = "not NAME=V with a number V", "not a finite number"
+        for option, value, word in (
+                ("--levels", "-1", integers), ("--levels", "13", integers),
+                ("--levels", "1.5", integers), ("--levels", "automatic", integers),
+                ("--bands", "automatic", "not an integer from 1 to 6, nor auto"),
+                ("--visibility", "maybe", "on|off"), ("--gradients", "exact", "analytic"),
+                ("--target-error", "0", "1e-04 to 1"), ("--target-error", "1.5", "1e-04 to 1"),
+                ("--target-error", "2%", numbers), ("--target-error", "nan", numbers),
+                ("--confidence", "0.5", "0.51 to 0.9999"), ("--confidence", "1", "0.51 to 0.9999"),
+                ("--max-samples", "999", "1000 to"), ("--max-samples", "1e4", "not an integer"),
+                ("--refine", "errors", "'errors'"),
+                ("--refine", "error,,brute", "''"),
+                ("--refine-threshold", "error", name_value),
+                ("--refine-threshold", "error=-1", name_value),
+                ("--refine-threshold", "error=nan", name_value),
+                ("--refine-threshold", "errors=1", "error|gradient|harmonic|brute|cull"),
+                ("--refine-threshold", "geometry=0.5", "geometry=LEVEL"),
+                ("--refine-threshold", "geometry=13", "geometry=LEVEL"),
+                ("--part", "1", parts), ("--part", "0/2", parts), ("--part", "3/2", parts),
+                ("--part", "1/2/3", parts), ("--part", "1/1000001", parts)):
+            with self.subTest(option=option, value=value):
+                self.fails(2, "bake", FURNACE, "-o", "x.vdb", f"{option}={value}",
+                           says=[option, value, word])
 
     def test_options_that_need_each_other(self):
         bake = ("bake", FURNACE, "-o", "x.vdb")
@@ -86,6 +110,9 @@ class Usage(CliCase):
         self.fails(2, "probe", FURNACE, "--points", "-", "--gradients", "central", says=["--json"])
         self.fails(2, "project", "x.hdr", "--shader", "--json", "-", says=["--json FILE"])
         self.fails(2, "resample", "-o", "x.vdb", says=["IN.vdb"])
+        self.fails(2, "resample", "y.vdb", "-o", "x.vdb", "--tolerance", "0.1", says=["--levels"])
+        self.fails(2, *bake, "--part", "1/2", says=["adaptive"])
+        self.fails(2, *bake, "--part", "1/2", "--target-error", "0.1", says=["whole volume"])
 
 
 class Outputs(CliCase):
@@ -253,11 +280,12 @@ class Probe(CliCase):
         self.assertNotEqual(forward[0].split(",")[6:], forward[1].split(",")[6:])
 
     def test_json_adds_errors_and_gradients(self):
-        row = json.loads(self.probe("0.1,0.2,0.3", "--bands", "2", "--gradients", "central",
-                                    "--json", "-"))[0]
-        self.assertEqual([len(c) for c in row["sh_stderr"]], [3] * 4)
-        for axis in "xyz":
-            self.assertEqual([len(c) for c in row[f"sh_d{axis}"]], [3] * 4)
+        for method in ("central", "analytic"):
+            row = json.loads(self.probe("0.1,0.2,0.3", "--bands", "2", "--gradients", method,
+                                        "--json", "-"))[0]
+            self.assertEqual([len(c) for c in row["sh_stderr"]], [3] * 4)
+            for axis in "xyz":
+                self.assertEqual([len(c) for c in row[f"sh_d{axis}"]], [3] * 4)
         # stderr is that of pi Y00 L00, the worst channel.
         self.assertAlmostEqual(row["stderr"], 0.886226925 * max(row["sh_stderr"][0]), places=6)
 
@@ -365,6 +393,219 @@ class Volumes(CliCase):
         self.fails(2, "render", FURNACE, "--volume", self.volume, "-o", "x.jpg", says=[".png"])
         self.fails(2, "render", FURNACE, "--volume", self.volume, "-o", "x.png", "--slice", "y=9",
                    says=["spans"])
+
+
+class Adaptive(CliCase):
+    """Cells of several sizes: two rooms, one with a lamp, and the open space around them."""
+
+    BAKE = ("bake", ROOMS, "--spacing", "0.5", "--rays", "16", "--quiet")
+    LEVELS = ("--levels", "2")
+
+    @classmethod
+    def setUpClass(cls):
+        super().setUpClass()
+        cls.volume = cls.folder / "adaptive.vdb"
+        code, out, err = run(*cls.BAKE, *cls.LEVELS, "-o", cls.volume, "--threads", "2", "--json",
+                             "-")
+        if code != 0:
+            raise AssertionError(f"adaptive bake gave {code}: {err}")
+        cls.report = json.loads(out)
+        cls.uniform = cls.folder / "uniform.vdb"
+        run(*cls.BAKE, "--levels", "0", "-o", cls.uniform)
+
+    def bake(self, *options, rays="4"):
+        return self.json(*self.BAKE[:4], "--quiet", "--rays", rays, *options, "-o",
+                         self.folder / "x.vdb")
+
+    def assert_same_but_options(self, path, other):
+        """Every grid's tree, values and metadata, byte for byte, but for the command line."""
+        contents = []
+        for file in (path, other):
+            grids = vb.parts_of_grids(file.read_bytes())
+            for metadata, _ in grids.values():
+                self.assertTrue(metadata.pop("lumivdb_options"))
+            contents.append(grids)
+        self.assertEqual(list(contents[0]), list(contents[1]))
+        for name, grid in contents[0].items():
+            self.assertTrue(grid == contents[1][name], name)
+
+    def test_levels(self):
+        cells = self.report["cells_by_level"]
+        self.assertEqual(len(cells), 3)
+        self.assertTrue(all(cells), cells)
+        stats = self.json("stats", self.volume)
+        self.assertEqual((stats["cells_by_level"], stats["samples"]),
+                         (cells, self.report["samples"]))
+        uniform = self.json("stats", self.uniform)
+        # The two volumes fill the same space, but for what coarse cells reach beyond the bounds.
+        self.assertGreaterEqual(sum(n * 8 ** k for k, n in enumerate(cells)),
+                                uniform["cells_by_level"][0])
+        self.assertLess(stats["samples"], uniform["samples"] / 2)
+        self.assertGreater(stats["uniform_equivalent_samples"], uniform["samples"] - 1)
+        self.assertGreater(stats["cut_cells"], 0)
+        self.assertGreater(stats["moved_samples"], 0)
+        grid = "\n".join(f"{x / 2},1.25,{z / 2}" for x in range(-8, 9) for z in range(-6, 7))
+        levels = {row["level"] for row in self.csv("query", self.volume, "--points", "-",
+                                                   stdin=grid)}
+        self.assertTrue({"0", "1"} <= levels <= {"-1", "0", "1", "2"}, levels)
+
+    def test_no_levels_are_uniform(self):
+        plain = self.folder / "plain.vdb"
+        self.ok(*self.BAKE, "-o", plain)
+        self.assertEqual(len(self.json("stats", self.uniform)["cells_by_level"]), 1)
+        self.assert_same_but_options(self.uniform, plain)
+
+    def test_threads_do_not_change_a_byte(self):
+        one = self.folder / "one.vdb"
+        self.ok(*self.BAKE, *self.LEVELS, "-o", one, "--threads", "1")
+        self.assertTrue(one.read_bytes() == self.volume.read_bytes())
+
+    def test_parts_joined_are_the_whole(self):
+        parts = [self.folder / f"part{i}.vdb" for i in (1, 2, 3)]
+        for i, part in enumerate(parts, 1):
+            self.ok(*self.BAKE, *self.LEVELS, "--part", f"{i}/3", "-o", part)
+            self.assertLess(self.json("stats", part)["samples"], self.report["samples"])
+        for order in (parts, [parts[1], parts[2], parts[0]]):
+            joined = self.folder / "joined.vdb"
+            self.ok("resample", *order, "-o", joined, "--quiet")
+            self.assert_same_but_options(joined, self.volume)
+
+    def test_what_is_chosen_is_said(self):
+        report = self.bake("--levels", "auto", "--bands", "auto")
+        said = " ".join(report["decisions"])
+        self.assertIn(f"bands {report['bands']}:", said)
+        self.assertRegex(said, r"levels \d+:")
+        self.assertTrue(1 <= report["bands"] <= 6)
+        self.assertIn("spacing 0.1:", self.json(
+            "bake", FURNACE, "-o", self.folder / "x.vdb", "--rays", "2", "--quiet")["decisions"][0])
+
+    def test_heuristics_and_thresholds(self):
+        def samples(*options):
+            return self.bake(*self.LEVELS, *options)["samples"]
+        error = samples()
+        self.assertEqual(samples("--refine", "error"), error)
+        self.assertLess(samples("--refine-threshold", "error=10"), error)
+        self.assertGreater(samples("--refine-threshold", "error=0.01"), error)
+        gradient = samples("--refine", "gradient")
+        self.assertLess(samples("--refine", "gradient", "--refine-threshold", "gradient=10"),
+                        gradient)
+        geometry = self.bake(*self.LEVELS, "--refine", "geometry")["cells_by_level"]
+        self.assertGreater(geometry[0], 0)
+        self.assertEqual(self.bake(*self.LEVELS, "--refine", "geometry", "--refine-threshold",
+                                   "geometry=1")["cells_by_level"][0], 0)
+        harmonic = samples("--refine", "harmonic")
+        self.assertLess(samples("--refine", "harmonic", "--refine-threshold", "harmonic=1e-6"),
+                        harmonic)
+        self.assertLess(samples("--refine", "brute", "--refine-threshold", "brute=10"),
+                        samples("--refine", "brute"))
+        self.assertGreater(samples("--refine", "error,geometry"), error)
+        # Heuristics without --levels make an adaptive volume.
+        self.assertRegex(" ".join(self.bake("--refine", "error")["decisions"]), r"levels [1-9]")
+
+    def test_analytic_gradients_serve_every_mode(self):
+        volume = self.folder / "gradients.vdb"
+        self.ok(*self.BAKE, *self.LEVELS, "--gradients", "analytic", "-o", volume)
+        self.assertTrue(self.json("stats", volume)["gradients"])
+        point = "-2.1,1.3,0.4,0,1,0\n"
+        answers = {mode: self.csv("query", volume, "--points", "-", "--mode", mode,
+                                  stdin=point)[0]["Er"]
+                   for mode in ("nearest", "taylor", "trilinear", "gradient", "tricubic", "idw")}
+        self.assertTrue(all(float(e) > 0 for e in answers.values()), answers)
+        self.assertEqual(len(set(answers.values())), 6, answers)
+        best = self.csv("query", volume, "--points", "-", stdin=point)[0]["Er"]
+        self.assertEqual(best, answers["gradient"])
+        for mode in ("taylor", "gradient", "tricubic"):
+            self.fails(2, "query", self.volume, "--points", "-", "--mode", mode, stdin=point,
+                       says=["no gradients", mode])
+
+    def test_visibility_masks(self):
+        # A wall of no thickness at x = 0, light before it: 0 behind it, all of it just before.
+        points = "-0.4,1.25,0.25,-1,0,0\n-0.02,1.25,0.25,-1,0,0\n0.02,1.25,0.25,-1,0,0\n"
+        light = {}
+        for visibility in ("on", "off"):
+            volume = self.folder / "masks.vdb"
+            self.ok("bake", SAMPLES / "two_rooms.glb", "--bounds", "-1,0.5,-1,1,2.5,1", "--spacing",
+                    "0.5", "--rays", "64", "--visibility", visibility, "-o", volume, "--quiet")
+            light[visibility] = [float(row["Er"]) for row in self.csv(
+                "query", volume, "--points", "-", stdin=points)]
+            cut = self.json("stats", volume)["cut_cells"]
+            self.assertEqual(cut > 0, visibility == "on", cut)
+        self.assertAlmostEqual(light["on"][1] / light["on"][0], 1, delta=0.1)
+        self.assertEqual(light["on"][2], 0)
+        # Without masks the samples on the wall mix into the cells on both sides.
+        self.assertTrue(light["off"][1] < 0.5 * light["off"][0] or light["off"][2] > 0, light)
+
+    def test_resample_levels(self):
+        target = self.folder / "levels.vdb"
+        flat = self.folder / "flat.vdb"
+        report = self.json("resample", self.volume, "-o", flat, "--uniform")
+        self.assertEqual(len(report["cells_by_level"]), 1)
+        merged = self.json("resample", flat, "-o", target, "--levels", "2", "--tolerance", "0.05")
+        loose = self.json("resample", flat, "-o", target, "--levels", "2", "--tolerance", "10")
+        self.assertLess(merged["samples"], report["samples"])
+        self.assertLess(loose["samples"], merged["samples"])
+        self.assertTrue(merged["error"]["rel_rmse"] < 0.05 and loose["error"]["rel_rmse"] < 10)
+        self.assertGreater(loose["cells_by_level"][1], merged["cells_by_level"][1])
+        for value in ("13", "-1", "auto"):
+            self.fails(2, "resample", flat, "-o", target, "--levels", value,
+                       says=[f"--levels {value}", "0 to 12"])
+        self.fails(2, "resample", flat, "-o", target, "--levels", "1", "--tolerance", "-1",
+                   says=["--tolerance -1"])
+
+    def test_evaluate_takes_the_reference_noise_off(self):
+        report = self.json("evaluate", self.volume, "--scene", ROOMS, "--points", "16", "--rays",
+                           "16", "--quiet")
+        self.assertLessEqual(report["rel_rmse_debiased"], report["rel_rmse"])
+        self.assertLessEqual(report["rel_rmse_debiased"], report["upper95"])
+
+
+class TargetError(CliCase):
+    """--target-error: what was reached, on points that the bake did not use."""
+
+    def check(self, report, asked):
+        achieved = report["achieved"]
+        self.assertEqual(report["target_error"], asked)
+        self.assertEqual(achieved["met"], achieved["rel_rmse"] <= asked)
+        self.assertLessEqual(achieved["estimate"], achieved["rel_rmse"])
+        self.assertGreaterEqual(achieved["points"], 100)
+        errors = [place["error"] for place in achieved["worst"]]
+        self.assertEqual((len(errors), errors), (10, sorted(errors, reverse=True)))
+        self.assertEqual([len(place["position"]) for place in achieved["worst"]], [3] * 10)
+        stats = self.json("stats", self.folder / "x.vdb")
+        self.assertEqual(stats["error"]["asked"], asked)
+        self.assertAlmostEqual(stats["error"]["reached"], achieved["rel_rmse"], places=6)
+        self.assertEqual(stats["error"]["confidence"], achieved["confidence"])
+        return achieved
+
+    def test_met(self):
+        report = self.json("bake", FURNACE, "--target-error", "0.3", "-o", self.folder / "x.vdb",
+                           "--quiet")
+        achieved = self.check(report, 0.3)
+        self.assertEqual((achieved["met"], achieved["confidence"]), (True, 0.95))
+        said = " ".join(report["decisions"])
+        for chosen in ("spacing", "levels", "bands", "rays", "gradients", "error threshold"):
+            self.assertIn(chosen, said)
+        for key in ("refine", "verify"):
+            self.assertIn(key, report["seconds"])
+        # An independent judge, with random numbers of its own.
+        self.ok("evaluate", self.folder / "x.vdb", "--scene", FURNACE, "--points", "50", "--rays",
+                "1024", "--max-error", "0.3", "--quiet")
+
+    def test_not_met_is_said_and_the_volume_written(self):
+        target = self.folder / "x.vdb"
+        args = ("bake", ROOMS, "--target-error", "0.3", "--confidence", "0.9", "--max-samples",
+                "1000", "--spacing", "0.5", "--bands", "2", "--gradients", "none", "-o", target)
+        err = self.fails(1, *args, "--json", self.folder / "x.json",
+                         says=[target, "0.3 was not met", "worst at", "--max-samples"])
+        self.assertIn("warning: ", err)
+        report = json.loads((self.folder / "x.json").read_text())
+        achieved = self.check(report, 0.3)
+        self.assertEqual((achieved["met"], achieved["confidence"]), (False, 0.9))
+        self.assertIn("not met", " ".join(report["warnings"]))
+        self.assertEqual(report["bands"], 2)
+        # What was given is not chosen.
+        for given in ("bands ", "spacing ", "gradients "):
+            self.assertEqual([d for d in report["decisions"] if d.startswith(given)], [])
 
 
 if __name__ == "__main__":

@@ -61,6 +61,11 @@ def replaced(data, old, new, count=-1):
 
 def grids(data):
     """{name: (first byte of the grid, behind the last)}"""
+    return {name: (begin, end) for name, (begin, _, end) in _places(data).items()}
+
+
+def _places(data):
+    """{name: (first byte of the grid, of its buffers, behind the last)}"""
     at = 8 + 12 + 1 + 36
 
     def word():
@@ -79,9 +84,28 @@ def grids(data):
     for _ in range(word()):
         name = words()
         words(), words()
-        begin, _, end = struct.unpack_from("<3q", data, at)
-        found[name] = (begin, end)
-        at = end
+        found[name] = struct.unpack_from("<3q", data, at)
+        at = found[name][2]
+    return found
+
+
+def parts_of_grids(data):
+    """{name: (its metadata as a dictionary, all else of it: transform, tree, values)}"""
+    found = {}
+    for name, (begin, _, end) in _places(data).items():
+        at = begin + 4  # the compression's flags
+
+        def words():
+            nonlocal at
+            size = struct.unpack_from("<I", data, at)[0]
+            at += 4 + size
+            return data[at - size:at]
+        count = struct.unpack_from("<I", data, at)[0]
+        at += 4
+        metadata = {}
+        for _ in range(count):
+            key, _, metadata[key] = words().decode(), words(), words()
+        found[name] = (metadata, data[begin:begin + 4] + data[at:end])
     return found
 
 

@@ -17,6 +17,9 @@ namespace lumivdb {
 
 namespace {
 
+/// In spacings.
+constexpr double kNormalBias = 0.05;
+
 constexpr float kInvPi = 0.318309886183790672f;
 
 void require(bool good, const std::string& field, double value, const std::string& range)
@@ -103,7 +106,9 @@ Image renderPicture(const Tracer& tracer, const IrradianceVolume& volume,
     const PictureOptions& options, Progress* progress)
 {
     options.validate();
-    const VolumeSampler sampler(volume, options.mode);
+    // Surfaces are looked at from just before them: a wall divides what is seen on its two sides.
+    const VolumeSampler sampler(
+        volume, SamplerOptions{options.mode, Precision::Float, kNormalBias * volume.spacing()});
     Stage stage{tracer, sampler, chooseView(tracer, volume.worldBounds(), options), {},
         kQueryOffset * volume.spacing()};
     stage.spheres = placeSpheres(tracer, sampler, stage.view, options.spheres);
