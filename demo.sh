@@ -22,8 +22,8 @@ run() { # prints a command as it could be typed, then runs it
     "$@"
 }
 
-run $lumivdb bake samples/house.glb --env samples/sky.hdr --bounds -10,0,-10,10,5,10 \
-    --target-error 0.1 -o demo_output/house.vdb
+run $lumivdb bake samples/house.glb --env samples/sky.hdr --spacing 0.5 \
+    --bounds -10,0,-10,10,5,10 --bands 5 --rays 1024 -o demo_output/house.vdb
 run $lumivdb stats demo_output/house.vdb
 run $lumivdb evaluate demo_output/house.vdb --scene samples/house.glb --env samples/sky.hdr \
     --points 300 --rays 2048
@@ -35,5 +35,10 @@ run $lumivdb render samples/house.glb --env samples/sky.hdr --volume demo_output
     -o demo_output/house.png
 run $lumivdb render samples/house.glb --env samples/sky.hdr --volume demo_output/house.vdb \
     --slice y=1.5 -o demo_output/house_slice.png
+run $lumivdb bake samples/house.glb --env samples/sky.hdr --bounds -10,0,-10,10,5,10 \
+    --target-error 0.1 -o demo_output/target.vdb
+run $lumivdb evaluate demo_output/target.vdb --scene samples/house.glb --env samples/sky.hdr \
+    --points 1000 --rays 4096
 echo
-echo "Made: demo_output/house.vdb (opens in Blender and Houdini), house.png, house_slice.png"
+echo "Made: demo_output/house.vdb and target.vdb (open in Blender and Houdini), house.png," \
+    "house_slice.png"

@@ -250,5 +250,7 @@ TEST_CASE("refinement options that make no sense are refused", "[refine][error]"
     CHECK(refused([](BakeOptions& o) { o.refine.heuristics.clear(); }));
     CHECK(refused([](BakeOptions& o) { o.levels = 2, o.part = 3, o.parts = 2; }));
     CHECK(refused([](BakeOptions& o) { o.parts = 2; })); // uniform
-    CHECK_FALSE(refused([](BakeOptions& o) { o.levels = 2, o.part = 2, o.parts = 2; }));
+    CHECK(refused([](BakeOptions& o) { o.levels = 2, o.part = 2, o.parts = 2; })); // no spacing
+    CHECK_FALSE(
+        refused([](BakeOptions& o) { o.levels = 2, o.part = 2, o.parts = 2, o.spacing = 1; }));
 }

@@ -429,7 +429,7 @@ OPTIONS = [
     option("--refine errors", ("--refine errors", "error|gradient|geometry|harmonic|brute")),
     option("--refine ''", ("--refine", "no heuristic")),
     option("--refine-threshold error", ("--refine-threshold error", "NAME=V")),
-    option("--refine-threshold error=-1", ("--refine-threshold error=-1", "0 or more")),
+    option("--refine-threshold error=-1", ("--refine-threshold error=-1", "above 0")),
     option("--refine-threshold colour=1", ("--refine-threshold colour=1", "gradient")),
     option("--refine-threshold geometry=0.5", ("geometry=0.5", "geometry=LEVEL")),
     option("--part 3/2", ("--part 3/2", "I/N")),
