@@ -52,10 +52,11 @@ struct Cell {
     SampleId corners[8];
 };
 
-/// Who sees whom in a cell that geometry cuts. Three planes divide the cell into eight regions; each
-/// region has a mask of the corners that are seen from it. Where no wall suggests better ones the
-/// planes are the cell's three middle planes, and the regions its octants; a plane laid into a wall
-/// keeps what is before the wall from what is behind it exactly, however the wall lies in the cell.
+/// Who sees whom in a cell that geometry cuts. Three planes divide the cell into eight regions;
+/// each region has a mask of the corners that are seen from it. Where no wall suggests better ones
+/// the planes are the cell's three middle planes, and the regions its octants; a plane laid into a
+/// wall keeps what is before the wall from what is behind it exactly, however the wall lies in the
+/// cell.
 ///
 /// Positions are cell coordinates t ∈ [0,1]³ along the lattice's axes, so a rotated volume keeps
 /// its masks. The same planes and masks in every cell of a wall keep interpolation continuous
