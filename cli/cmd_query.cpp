@@ -28,6 +28,7 @@ private:
     std::string mVolume;
     std::string mPoints;
     std::optional<Interpolation> mMode;
+    double mNormalBias = 0;
     bool mSh = false;
 };
 
@@ -43,6 +44,8 @@ void QueryCommand::declare(Arguments& arguments)
         "input");
     arguments.require();
     declareMode(arguments, mMode);
+    arguments.real("--normal-bias", mNormalBias, atLeast(0),
+        "looks this far along the normal from each point, scene units: off the surface it is on");
     arguments.flag("--sh", mSh, "also the radiance coefficients: sh_0_r,sh_0_g,sh_0_b,sh_1_r,...");
     mCommon.declareJson(arguments,
         "the same rows as an array of objects; with - they replace the CSV, with FILE they come "
@@ -93,7 +96,8 @@ void QueryCommand::run(const Arguments&)
     const PointList points = readPoints(mPoints);
     const IrradianceVolume volume = loadVolume(mVolume);
     throwIfInterrupted();
-    const VolumeSampler sampler(volume, modeFor(mMode, volume, mVolume));
+    const VolumeSampler sampler(volume,
+        SamplerOptions{modeFor(mMode, volume, mVolume), Precision::Float, mNormalBias});
 
     std::vector<Color> sh(static_cast<std::size_t>(volume.coefficients()));
     std::size_t outside = 0;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// lumivdb render: a picture of a scene lit by a volume, or a slice through the volume.
+/// lumivdb render: a picture of a scene lit by a volume or with its samples, or a slice through the
+/// volume: its light, its levels, its error.
 
 #include "common.h"
 #include "interrupt.h"
@@ -14,6 +15,7 @@
 
 #include <cmath>
 #include <limits>
+#include <sstream>
 
 namespace lumivdb::cli {
 
@@ -23,6 +25,8 @@ struct SliceRequest {
     int axis;
     double position;
 };
+
+enum class Show { Light, Levels, Probes, Error };
 
 class RenderCommand : public Command {
 public:
@@ -34,7 +38,15 @@ private:
     void declareSlice(Arguments& arguments);
     void validate(const Arguments& arguments) const;
     void renderScene(const IrradianceVolume& volume);
+    void declareShow(Arguments& arguments);
+    void validateShow(const Arguments& arguments) const;
+    SliceOptions sliceOptions(const IrradianceVolume& volume) const;
     void renderSliceImage(const IrradianceVolume& volume);
+    void renderOverScene(const IrradianceVolume& volume);
+    void renderLevelsImage(const Tracer& tracer, const IrradianceVolume& volume);
+    void renderErrorImage(
+        const Tracer& tracer, const IrradianceVolume& volume, ProgressBar& progress);
+    std::shared_ptr<const Scene> loadScene(const IrradianceVolume& yUp);
 
     CommonOptions mCommon;
     SceneOptions mScene;
@@ -45,7 +57,26 @@ private:
     std::optional<double> mExposure;
     std::optional<double> mFov;
     std::optional<SliceRequest> mSlice;
+    Show mShow = Show::Light;
+    ErrorMapOptions mError;
 };
+
+/// The light that @a metadata's volume holds, so that the comparison is fair.
+void followBake(const VolumeMetadata& metadata, ProbeOptions& reference)
+{
+    for (const auto c : {Contribution::All, Contribution::Direct, Contribution::Indirect}) {
+        if (metadata.contribution == name(c)) reference.contribution = c;
+    }
+    std::istringstream options(metadata.options);
+    for (std::string word; options >> word;) {
+        if (word != "--max-bounces" || !(options >> word)) continue;
+        if (const auto bounces = parseInteger(word)) {
+            reference.maxBounces = static_cast<int>(*bounces);
+        }
+    }
+    // Not the random numbers of the bake: its errors would be those of the reference.
+    reference.seed = metadata.seed + 7001;
+}
 
 void declareSize(Arguments& arguments, PictureOptions& picture)
 {
@@ -97,7 +128,23 @@ void RenderCommand::declareSlice(Arguments& arguments)
     };
     arguments.custom("--slice", "AXIS=V", convert,
         "instead of the picture: irradiance averaged over normals on the plane x=V, y=V or z=V in "
-        "the volume's axes, as false colours over its logarithm; the range is printed");
+        "the volume's axes, as false colours over its logarithm; the range is printed; with --show "
+        "levels or error that instead, in the scene's axes");
+}
+
+void RenderCommand::declareShow(Arguments& arguments)
+{
+    arguments.choice<Show>("--show", mShow,
+        {{"light", Show::Light}, {"levels", Show::Levels}, {"probes", Show::Probes},
+            {"error", Show::Error}},
+        "light: the scene lit by the volume, or with --slice how much arrives where; levels: the "
+        "cells that --slice cuts, coloured by level, to see where a bake has refined; probes: the "
+        "scene with every sample as a small sphere lit by what it holds, invalid ones red; error: "
+        "how far the volume is off along --slice, compared with an independent trace");
+    arguments.integer("--rays", mError.reference.rays, between(2, 67108864),
+        "of --show error: directions per place of the trace that the volume is compared with");
+    arguments.integer("--blocks", mError.blocks, between(1, 4096),
+        "of --show error: places compared across the picture");
 }
 
 void RenderCommand::declare(Arguments& arguments)
@@ -108,6 +155,7 @@ void RenderCommand::declare(Arguments& arguments)
     arguments.text("-o,--output", "OUT.png|exr", mOutput,
         "the image: .png (sRGB, exposed) or .exr (linear, as is)");
     arguments.require();
+    declareShow(arguments);
     declareSlice(arguments);
     declareView(arguments);
     mScene.declareLight(arguments);
@@ -119,11 +167,43 @@ void RenderCommand::declare(Arguments& arguments)
         "the scene lit by the volume, with five test spheres");
     arguments.example("lumivdb render room.glb --volume room.vdb --slice y=1.2 -o slice.png",
         "how much light arrives 1.2 m above the ground");
+    arguments.example(
+        "lumivdb render room.glb --volume room.vdb --show error --slice y=1.2 -o error.png",
+        "where the volume is wrong there, and by how much");
+}
+
+/// Options that the kind of picture would ignore are mistakes.
+void RenderCommand::validateShow(const Arguments& arguments) const
+{
+    const std::string show = mShow == Show::Light ? "light"
+        : mShow == Show::Levels                   ? "levels"
+        : mShow == Show::Probes                   ? "probes"
+                                                  : "error";
+    const auto refuse = [&](std::initializer_list<const char*> options, const std::string& why) {
+        for (const char* option : options)
+            if (arguments.given(option))
+                failUsage(std::string(option) + " has no part in --show " + show + ": " + why);
+    };
+    if (mShow != Show::Error) {
+        refuse({"--rays", "--blocks"}, "only --show error traces anew; leave it out.");
+    }
+    if (mShow == Show::Probes) {
+        refuse({"--slice", "--spheres"},
+            "it is a picture of the scene with all samples; leave it out.");
+    }
+    if (mShow != Show::Levels && mShow != Show::Error) return;
+    if (!mSlice) {
+        failUsage("--show " + show + " is drawn on a plane; add one, such as --slice y=1.5.");
+    }
+    refuse({"--eye", "--target", "--fov", "--spheres", "--samples", "--exposure"},
+        "it is a map of --slice, not a view; leave it out.");
+    if (mShow == Show::Levels) refuse({"--mode"}, "it shows cells, no light; leave it out.");
 }
 
 void RenderCommand::validate(const Arguments& arguments) const
 {
     mScene.validate(arguments);
+    validateShow(arguments);
     if (mPicture.eye.has_value() != mPicture.target.has_value()) {
         failUsage("--eye and --target make one view; give both or none.");
     }
@@ -133,19 +213,26 @@ void RenderCommand::validate(const Arguments& arguments) const
     checkImagePath(mOutput);
 }
 
-void RenderCommand::renderScene(const IrradianceVolume& volume)
+std::shared_ptr<const Scene> RenderCommand::loadScene(const IrradianceVolume& yUp)
 {
-    const auto scene = mScene.load(mCommon.console);
-    std::optional<IrradianceVolume> turned = broughtYUp(volume);
-    const IrradianceVolume& yUp = turned ? *turned : volume;
+    auto scene = mScene.load(mCommon.console);
     if (yUp.metadata().lightGroup.empty()) {
         warnIfSceneDiffers(yUp, mVolume, *scene, mCommon.console);
     }
+    return scene;
+}
+
+void RenderCommand::renderScene(const IrradianceVolume& volume)
+{
+    std::optional<IrradianceVolume> turned = broughtYUp(volume);
+    const IrradianceVolume& yUp = turned ? *turned : volume;
+    const auto scene = loadScene(yUp);
     ProgressBar progress(mCommon.console.progressStyle());
     const Tracer tracer(scene, &progress);
     throwIfInterrupted();
     if (mFov) mPicture.yfovDegrees = *mFov;
     mPicture.mode = modeFor(mMode, volume, mVolume);
+    mPicture.probes = mShow == Show::Probes;
     const Image image = renderPicture(tracer, yUp, mPicture, &progress);
     progress.finish();
     throwIfInterrupted();
@@ -154,19 +241,25 @@ void RenderCommand::renderScene(const IrradianceVolume& volume)
         {"mode", name(mPicture.mode)}, {"warnings", mCommon.console.warnings()}});
 }
 
-void RenderCommand::renderSliceImage(const IrradianceVolume& volume)
+SliceOptions RenderCommand::sliceOptions(const IrradianceVolume& volume) const
 {
     SliceOptions options;
     options.axis = mSlice->axis;
     options.position = mSlice->position;
     options.width = mPicture.width;
-    options.mode = modeFor(mMode, volume, mVolume);
     const Box3d box = volume.worldBounds();
     if (options.position < box.min[options.axis] || options.position > box.max[options.axis]) {
         failValue("--slice", std::string(1, "xyz"[options.axis]) + "=" + toText(options.position),
             "outside '" + mVolume + "', which spans " + rounded(box.min[options.axis]) + " to "
                 + rounded(box.max[options.axis]));
     }
+    return options;
+}
+
+void RenderCommand::renderSliceImage(const IrradianceVolume& volume)
+{
+    SliceOptions options = sliceOptions(volume);
+    options.mode = modeFor(mMode, volume, mVolume);
     double low = 0, high = 0;
     const Image image = renderSlice(volume, options, &low, &high);
     throwIfInterrupted();
@@ -178,6 +271,56 @@ void RenderCommand::renderSliceImage(const IrradianceVolume& volume)
         {"warnings", mCommon.console.warnings()}});
 }
 
+void RenderCommand::renderLevelsImage(const Tracer& tracer, const IrradianceVolume& volume)
+{
+    const Image image = renderLevels(tracer, volume, sliceOptions(volume));
+    throwIfInterrupted();
+    writeDisplayImage(image, mOutput);
+    mCommon.writeJson({{"file", mOutput}, {"width", image.width}, {"height", image.height},
+        {"cells_by_level", volume.cellsByLevel()}, {"warnings", mCommon.console.warnings()}});
+}
+
+void RenderCommand::renderErrorImage(
+    const Tracer& tracer, const IrradianceVolume& volume, ProgressBar& progress)
+{
+    mError.slice = sliceOptions(volume);
+    mError.slice.mode = modeFor(mMode, volume, mVolume);
+    followBake(volume.metadata(), mError.reference);
+    ErrorMapReport report;
+    const Image image = renderError(tracer, volume, mError, &report, &progress);
+    progress.finish();
+    throwIfInterrupted();
+    writeDisplayImage(image, mOutput);
+    const auto percent = [](double x) { return rounded(100 * x, 3) + "%"; };
+    mCommon.console.note("Mean error " + percent(report.meanError) + " of the slice's mean "
+        + "irradiance; colours span " + percent(report.low) + " to " + percent(report.high)
+        + "; the reference has a noise of " + percent(report.meanNoise)
+        + " itself, less with more --rays.");
+    mCommon.writeJson({{"file", mOutput}, {"width", image.width}, {"height", image.height},
+        {"mode", name(mError.slice.mode)}, {"mean_error", report.meanError},
+        {"reference_stderr", report.meanNoise}, {"mean_irradiance", report.meanReference},
+        {"low", report.low}, {"high", report.high}, {"points", report.points},
+        {"warnings", mCommon.console.warnings()}});
+}
+
+/// The slices that need the scene beside the volume.
+void RenderCommand::renderOverScene(const IrradianceVolume& volume)
+{
+    std::optional<IrradianceVolume> turned = broughtYUp(volume);
+    const IrradianceVolume& yUp = turned ? *turned : volume;
+    sliceOptions(yUp); // refuses before the scene is read
+    mScene.lightGroup = yUp.metadata().lightGroup;
+    const auto scene = loadScene(yUp);
+    ProgressBar progress(mCommon.console.progressStyle());
+    const Tracer tracer(scene, &progress);
+    throwIfInterrupted();
+    if (mShow == Show::Levels) {
+        renderLevelsImage(tracer, yUp);
+    } else {
+        renderErrorImage(tracer, yUp, progress);
+    }
+}
+
 void RenderCommand::run(const Arguments& arguments)
 {
     validate(arguments);
@@ -186,7 +329,9 @@ void RenderCommand::run(const Arguments& arguments)
     mCommon.apply({mScene.path, mVolume, mOutput});
     const IrradianceVolume volume = loadVolume(mVolume);
     throwIfInterrupted();
-    if (mSlice) {
+    if (mShow == Show::Levels || mShow == Show::Error) {
+        renderOverScene(volume);
+    } else if (mSlice) {
         renderSliceImage(volume);
     } else {
         renderScene(volume);

@@ -20,7 +20,7 @@ FLAGS = {
             "--part --rays --max-bounces --contribution --integrator --up --half --codec "
             "--light-group --json --threads --seed --quiet",
     "probe": "--points --rays --bands --env --contribution --json --threads --seed",
-    "query": "--points --mode --sh --json",
+    "query": "--points --mode --normal-bias --sh --json",
     "stats": "--json",
     "evaluate": "--scene --env --points --rays --mode --max-error --points-file --json --threads "
                 "--seed",
@@ -193,6 +193,14 @@ class Furnace(CliCase):
         for channel in ("Er", "Eg", "Eb"):
             self.assertAlmostEqual(float(row[channel]) / (2 * math.pi), 1.0, delta=0.07)
         self.assertEqual((row["level"], float(row["validity"])), ("0", 1.0))
+
+    def test_query_looks_ahead_along_the_normal(self):
+        def row(point, *options):
+            return self.ok("query", self.volume, "--points", "-", *options,
+                           stdin=point + ",0,1,0\n").splitlines()[1].split(",")[6:]
+        self.assertEqual(row("0.1,0.2,0.3", "--normal-bias", "0.25"), row("0.1,0.45,0.3"))
+        self.assertNotEqual(row("0.1,0.2,0.3"), row("0.1,0.45,0.3"))
+        self.fails(2, "query", self.volume, "--points", "-", "--normal-bias", "-1")
 
     def test_query_without_normals_and_with_coefficients(self):
         points = "x,y,z\n0,0,0\n0.25,0.25,0.25\n"

@@ -14,7 +14,7 @@ from harness import PROGRAM, SAMPLES, CliCase, run
 
 FURNACE = SAMPLES / "furnace.glb"
 ROOMS = SAMPLES / "two_rooms_door.glb"
-COMMANDS = ("bake", "probe", "query", "stats", "evaluate", "project", "resample", "render")
+COMMANDS = ("bake", "probe", "query", "stats", "evaluate", "project", "resample", "render", "bench")
 
 
 def shell(script, **options):
@@ -393,6 +393,35 @@ class Volumes(CliCase):
         self.fails(2, "render", FURNACE, "--volume", self.volume, "-o", "x.jpg", says=[".png"])
         self.fails(2, "render", FURNACE, "--volume", self.volume, "-o", "x.png", "--slice", "y=9",
                    says=["spans"])
+
+    def test_render_shows_levels_probes_and_error(self):
+        def render(*arguments):
+            image = self.folder / "shown.png"
+            report = json.loads(self.ok("render", FURNACE, "--volume", self.volume, "-o", image,
+                                        "--size", "64x48", "--quiet", "--json", "-", *arguments))
+            self.assertEqual(image.read_bytes()[:4], b"\x89PNG")
+            return report
+
+        self.assertEqual(len(render("--show", "levels", "--slice", "y=0.1")["cells_by_level"]), 1)
+        self.assertEqual(render("--show", "probes", "--samples", "1")["height"], 48)
+        error = render("--show", "error", "--slice", "y=0.1", "--rays", "1024", "--blocks", "8")
+        # In a furnace the volume is right but for its noise.
+        self.assertLess(error["mean_error"], 0.05)
+        self.assertGreater(error["mean_error"], 0)
+        self.assertEqual(error["points"], 64)
+
+    def test_render_refuses_what_a_picture_would_ignore(self):
+        for says, *arguments in (
+                ("--slice", "--show", "levels"), ("--slice", "--show", "error"),
+                ("--slice", "--show", "probes", "--slice", "y=0.1"),
+                ("--spheres", "--show", "probes", "--spheres", "3"),
+                ("--rays", "--rays", "16"), ("--blocks", "--slice", "y=0.1", "--blocks", "9"),
+                ("--fov", "--show", "error", "--slice", "y=0.1", "--fov", "30"),
+                ("--mode", "--show", "levels", "--slice", "y=0.1", "--mode", "nearest"),
+                ("--show", "--show", "everything")):
+            with self.subTest(arguments=arguments):
+                self.fails(2, "render", FURNACE, "--volume", self.volume, "-o", "x.png", *arguments,
+                           says=[says])
 
 
 class Adaptive(CliCase):

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <lumivdb/viewer/picture.h>
 
+#include "probes.h"
 #include "spheres.h"
 #include "view.h"
 
@@ -35,6 +36,7 @@ struct Stage {
     const VolumeSampler& sampler;
     View view;
     std::vector<Sphere> spheres;
+    const Probes* probes; ///< null: none
     double offset; ///< world units off a surface of the scene at which the volume is asked
 
     Color reflected(const Vec3d& p, const Vec3f& n, const Color& albedo) const
@@ -52,10 +54,15 @@ struct Stage {
         return environment ? environment->radiance(direction) : Color(0);
     }
 
-    Color shade(const Vec3d& direction) const
+    /// What a ray through pixel (x, y) shows; @a invalid is set where it is an invalid sample.
+    Color shade(const Vec3d& direction, int x, int y, bool* invalid) const
     {
         const SurfaceHit h = tracer.intersect(view.eye, direction);
         double nearest = h.hit ? h.distance : INFINITY;
+        if (probes) {
+            Color colour;
+            if (probes->shade(view.eye, direction, x, y, nearest, &colour, invalid)) return colour;
+        }
         const Sphere* sphere = nullptr;
         for (const Sphere& s : spheres) {
             const double t = s.intersect(view.eye, direction);
@@ -75,17 +82,22 @@ struct Stage {
     }
 };
 
-/// The mean of a square grid of rays, summed in a fixed order.
-Color renderPixel(const Stage& stage, const PictureOptions& options, int x, int y, int grid)
+/// The mean of a square grid of rays, summed in a fixed order. @a red: share of invalid samples.
+Color renderPixel(
+    const Stage& stage, const PictureOptions& options, int x, int y, int grid, float* red)
 {
     Color sum(0);
+    int invalids = 0;
     for (int j = 0; j < grid; ++j) {
         for (int i = 0; i < grid; ++i) {
             const double s = (x + (i + 0.5) / grid) / options.width;
             const double t = (y + (j + 0.5) / grid) / options.height;
-            sum += stage.shade(stage.view.direction(s, t));
+            bool invalid = false;
+            sum += stage.shade(stage.view.direction(s, t), x, y, &invalid);
+            invalids += invalid;
         }
     }
+    *red = float(invalids) / float(grid * grid);
     return sum / float(grid * grid);
 }
 
@@ -109,24 +121,36 @@ Image renderPicture(const Tracer& tracer, const IrradianceVolume& volume,
     // Surfaces are looked at from just before them: a wall divides what is seen on its two sides.
     const VolumeSampler sampler(
         volume, SamplerOptions{options.mode, Precision::Float, kNormalBias * volume.spacing()});
-    Stage stage{tracer, sampler, chooseView(tracer, volume.worldBounds(), options), {},
+    Stage stage{tracer, sampler, chooseView(tracer, volume.worldBounds(), options), {}, nullptr,
         kQueryOffset * volume.spacing()};
-    stage.spheres = placeSpheres(tracer, sampler, stage.view, options.spheres);
+    std::optional<Probes> probes;
+    if (options.probes) {
+        probes.emplace(volume, stage.view, options.width, options.height);
+        stage.probes = &*probes;
+    } else {
+        stage.spheres = placeSpheres(tracer, sampler, stage.view, options.spheres);
+    }
 
     Image image;
     image.width = options.width;
     image.height = options.height;
     image.pixels.resize(std::size_t(image.width) * image.height);
+    std::vector<float> red(image.pixels.size());
     const int grid = std::max(1, int(std::lround(std::sqrt(double(options.samplesPerPixel)))));
     if (progress) progress->begin("render picture", options.height);
     tbb::parallel_for(0, options.height, [&](int y) {
         if (progress && progress->cancelled()) return;
-        Color* row = image.pixels.data() + std::size_t(y) * image.width;
-        for (int x = 0; x < image.width; ++x) row[x] = renderPixel(stage, options, x, y, grid);
+        const std::size_t row = std::size_t(y) * image.width;
+        for (int x = 0; x < image.width; ++x)
+            image.pixels[row + x] = renderPixel(stage, options, x, y, grid, &red[row + x]);
         if (progress) progress->advance(1);
     });
     if (progress && progress->cancelled())
         throw Error(ErrorCode::Interrupted, "The picture was interrupted before it was complete.");
+    // Red as bright as the picture is, so that it is seen in a dark one and in a bright one.
+    const float bright = float(0.7 / automaticExposure(image));
+    for (std::size_t i = 0; i < red.size(); ++i)
+        if (red[i] > 0) image.pixels[i] += Color(bright, 0.02f * bright, 0.02f * bright) * red[i];
     return image;
 }
 

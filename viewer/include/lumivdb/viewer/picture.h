@@ -4,6 +4,7 @@
 /// @file picture.h
 /// Headless pictures: a scene shaded by a volume, and slices as false-colour images.
 
+#include <lumivdb/bake/probe.h>
 #include <lumivdb/bake/tracer.h>
 #include <lumivdb/core/progress.h>
 #include <lumivdb/core/sampler.h>
@@ -26,6 +27,7 @@ struct PictureOptions {
         target; ///< default: the scene's first camera, else a view of its bounds
     double yfovDegrees = 0; ///< vertical, 0 … 179; 0: the scene camera's where it is used, else 50
     int spheres = 5; ///< white test spheres in a row across the view, 0 … 1000; 0: none
+    bool probes = false; ///< the volume's samples in place of the test spheres
     Interpolation mode = Interpolation::Trilinear;
     /// @throws Error(Usage) naming the field, its value and the range.
     void validate() const;
@@ -40,7 +42,11 @@ struct PictureOptions {
 /// outdoors. The price is light that is blurred over that distance. The spheres have albedo 0.8,
 /// their radius is 4% of the width of the view where they are, less where only a part of the view
 /// has room; those that would touch geometry, hide behind it or leave the volume are left out. They
-/// receive light from the volume and cast none back. Same inputs, same bits, for any number of
+/// receive light from the volume and cast none back.
+///
+/// With probes, every sample is a white sphere where it was measured, kProbeRadius of the finest
+/// cell at it wide, lit by its own coefficients; invalid samples are red. Those about the eye are
+/// left out. Same inputs, same bits, for any number of
 /// threads.
 /// @throws Error(Usage) for bad options or a scene and volume that give nothing to look at;
 /// Error(Interrupted).
@@ -49,6 +55,8 @@ Image renderPicture(const Tracer& tracer, const IrradianceVolume& volume,
 
 /// Distance off a surface at which renderPicture() asks the volume, in units of its spacing.
 constexpr double kQueryOffset = 0.5;
+/// Radius of a sample's sphere, in widths of the finest cell at it.
+constexpr double kProbeRadius = 0.08;
 /// Reflectance of the test spheres.
 constexpr float kSphereAlbedo = 0.8f;
 
@@ -76,6 +84,39 @@ constexpr int kLegendRows = 56;
 /// @throws Error(Usage) when @a position misses the volume, naming the range.
 Image renderSlice(
     const IrradianceVolume& volume, const SliceOptions& options, double* low, double* high);
+
+/// The octree on a plane through the volume: every cell filled with the colour of its level (fine
+/// ones bright, coarse ones dark), its outline dark, surfaces of the scene white lines. The legend
+/// names the width of the cells of each level. Frame and legend as in renderSlice(); the mode is
+/// not used. @a tracer's scene must be in the volume's frame.
+/// @throws Error(Usage) like renderSlice().
+Image renderLevels(
+    const Tracer& tracer, const IrradianceVolume& volume, const SliceOptions& options);
+
+struct ErrorMapOptions {
+    SliceOptions slice;
+    ProbeOptions reference; ///< the trace that the volume is compared with
+    int blocks = 96; ///< blocks of pixels across the map, 1 … 4096
+    /// @throws Error(Usage) naming the field, its value and the range.
+    void validate() const;
+};
+
+/// Shares of the slice's mean irradiance.
+struct ErrorMapReport {
+    double meanReference = 0; ///< that mean itself, over places and normals
+    double meanError = 0;
+    double meanNoise = 0; ///< standard error of the reference, which the map cannot see below
+    double low = 0, high = 0; ///< what the colours span
+    std::size_t points = 0; ///< in free space
+};
+
+/// Where a slice is wrong: |E − E_ref| (luminance, mean over 16 normals) over the mean of E_ref in
+/// the slice, for a block of pixels each, as false colours over the logarithm; the legend is in
+/// percent. E_ref is traced at the middle of each block. Grey: inside geometry; white lines:
+/// surfaces. @a tracer's scene must be in the volume's frame. Same inputs, same bits.
+/// @throws Error(Usage) like renderSlice(); Error(Interrupted).
+Image renderError(const Tracer& tracer, const IrradianceVolume& volume,
+    const ErrorMapOptions& options, ErrorMapReport* report, Progress* progress = nullptr);
 
 /// Colour of places of low validity in a slice, sRGB.
 constexpr float kInvalidGrey = 0.5f;
