@@ -96,8 +96,8 @@ void QueryCommand::run(const Arguments&)
     const PointList points = readPoints(mPoints);
     const IrradianceVolume volume = loadVolume(mVolume);
     throwIfInterrupted();
-    const VolumeSampler sampler(volume,
-        SamplerOptions{modeFor(mMode, volume, mVolume), Precision::Float, mNormalBias});
+    const VolumeSampler sampler(
+        volume, SamplerOptions{modeFor(mMode, volume, mVolume), Precision::Float, mNormalBias});
 
     std::vector<Color> sh(static_cast<std::size_t>(volume.coefficients()));
     std::size_t outside = 0;
