@@ -151,7 +151,7 @@ void declarePart(Arguments& arguments, BakeOptions& bake)
     };
     arguments.custom("--part", "I/N", convert,
         "bake part I of N of an adaptive volume, on a machine of its own; 'lumivdb resample' joins "
-        "parts to the very bytes of the whole");
+        "parts to the very grids of the whole");
 }
 
 void BakeCommand::declareGrid(Arguments& arguments)

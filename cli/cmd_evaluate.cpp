@@ -156,11 +156,10 @@ void EvaluateCommand::print(const EvaluateReport& r) const
 {
     const auto percent = [](double x) { return rounded(100 * x, 4) + "%"; };
     std::string out = table({{"rel_rmse", percent(r.relRmse)},
-        {"  without the reference's noise",
-            percent(r.relRmseDebiased) + ", at most " + percent(r.upper) + " (95%)"},
-        {"p50", percent(r.p50)}, {"p95", percent(r.p95)}, {"p99", percent(r.p99)},
-        {"max", percent(r.max)}, {"bias", percent(r.bias)},
-        {"reference_stderr", percent(r.referenceStderr)},
+        {"  without the reference's noise", percent(r.relRmseDebiased)},
+        {"  at most, with 95% confidence", percent(r.upper)}, {"p50", percent(r.p50)},
+        {"p95", percent(r.p95)}, {"p99", percent(r.p99)}, {"max", percent(r.max)},
+        {"bias", percent(r.bias)}, {"reference_stderr", percent(r.referenceStderr)},
         {"points",
             grouped(r.points) + " x " + std::to_string(r.normals) + " normals ("
                 + grouped(r.rejected) + " inside geometry, " + grouped(r.outside)

@@ -20,10 +20,9 @@ constexpr int kPartHalo = 5;
 constexpr int kMaxRounds = 24;
 /// Where the bands alone leave out more than the target.
 constexpr int kHopelessRounds = 3;
-constexpr std::size_t kVerifyPoints = 512, kMaxVerifyPoints = 4096;
-/// The reference's own noise in targets. It is taken off; what is left of it is its spread, which
-/// over hundreds of points is a few percent of this.
-constexpr double kReferenceShare = 1.0;
+constexpr std::size_t kVerifyPoints = 1024, kMaxVerifyPoints = 4096;
+/// The reference's own noise in targets: the bound contains it.
+constexpr double kReferenceShare = 0.3;
 constexpr double kMaxReferenceRays = 16384;
 constexpr std::uint64_t kVerifyStream = 0x3b97f1c5d8e2a604ull;
 /// Gradients stay where trilinear interpolation is at least this much more wrong, as RMS.

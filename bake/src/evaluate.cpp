@@ -185,7 +185,7 @@ private:
     {
         double weights = 0, mean = 0, bias = 0, square = 0, noise = 0;
         std::vector<std::pair<double, double>> absolute; // error, weight
-        std::vector<double> debiased; // per point: mean square over normals, noise taken off
+        std::vector<double> squares; // per point: mean over normals, times the weight
         for (const Comparison& point : mComparisons) {
             const double w = point.weight / static_cast<double>(point.reference.size());
             double square1 = 0, noise1 = 0;
@@ -200,7 +200,7 @@ private:
             }
             square += square1;
             noise += noise1;
-            debiased.push_back(square1 - noise1);
+            squares.push_back(square1);
             weights += point.weight;
         }
         mean /= weights;
@@ -224,17 +224,19 @@ private:
         if (std::abs(signedBias) > std::abs(report.bias)) report.bias = signedBias;
 
         // The mean square is a ratio of two sums over the points; its variance by linearisation.
-        const double meanSquare = (square - noise) / weights;
+        // The bound keeps the reference's noise in: the standard errors, which are taken off the
+        // estimate, err on the large side.
+        const double meanSquare = square / weights;
         double variance = 0;
-        for (std::size_t i = 0; i < debiased.size(); ++i) {
-            const double d = debiased[i] - mComparisons[i].weight * meanSquare;
+        for (std::size_t i = 0; i < squares.size(); ++i) {
+            const double d = squares[i] - mComparisons[i].weight * meanSquare;
             variance += d * d;
         }
         variance /= weights * weights;
         const double bound = meanSquare + normalQuantile(mOptions.confidence) * std::sqrt(variance);
-        report.relRmseDebiased
-            = std::max(report.relRmseDebiased, relative(std::sqrt(std::max(0.0, meanSquare))));
-        report.upper = std::max(report.upper, relative(std::sqrt(std::max(0.0, bound))));
+        const double debiased = std::max(0.0, meanSquare - noise / weights);
+        report.relRmseDebiased = std::max(report.relRmseDebiased, relative(std::sqrt(debiased)));
+        report.upper = std::max(report.upper, relative(std::sqrt(bound)));
         return mean;
     }
 

@@ -122,8 +122,8 @@ struct EvaluateOptions {
 
 struct EvaluateReport {
     double relRmse = 0; ///< sqrt(mean |E−E_ref|²)/mean(E_ref), worst channel
-    /// The same with the reference's noise taken off, and its upper bound at the options'
-    /// confidence, from the spread over the points.
+    /// relRmse with the reference's noise taken off; and an upper bound of relRmse, noise and all,
+    /// at the options' confidence, from the spread over the points.
     double relRmseDebiased = 0, upper = 0;
     double p50 = 0, p95 = 0, p99 = 0, max = 0; ///< of |E−E_ref|/mean(E_ref), worst channel each
     double bias = 0; ///< mean(E−E_ref)/mean(E_ref), channel of largest magnitude
