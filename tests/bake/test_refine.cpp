@@ -163,7 +163,7 @@ TEST_CASE("parts: the cells and records of the whole, none twice", "[refine][det
     CHECK(wrong == 0);
 }
 
-TEST_CASE("error-driven cells beat a uniform lattice of more samples", "[refine][error]")
+TEST_CASE("error-driven cells beat a uniform lattice of more samples", "[refine][error][heavy]")
 {
     const auto tracer = makeTracer(litRoom());
     const Vec3d lower(0.0), upper(1.6);
@@ -184,7 +184,7 @@ TEST_CASE("error-driven cells beat a uniform lattice of more samples", "[refine]
     CHECK(adaptiveError < uniformError);
 }
 
-TEST_CASE("an error target holds at points of other seeds", "[refine][target]")
+TEST_CASE("an error target holds at points of other seeds", "[refine][target][heavy]")
 {
     // A closed room with its lamp far from the region: light that changes slowly.
     Scene scene;
