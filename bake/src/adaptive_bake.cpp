@@ -241,15 +241,6 @@ void AdaptiveBake::drawPoints(std::size_t count, std::uint64_t key, EvaluateOpti
     std::vector<double> sums;
     double total = 0;
     for (double c : mCells.contribution) sums.push_back(total += c);
-    const auto cellShare = [&](const CellKey& cell) {
-        double share = 1;
-        for (int a = 0; a < 3; ++a) {
-            const int low = std::max(cell.origin[a], box.lower[a]);
-            const int high = std::min(cell.origin[a] + cell.size(), box.upper[a]);
-            share *= static_cast<double>(high - low) / (box.upper[a] - box.lower[a]);
-        }
-        return share;
-    };
     const bool mixed = total > 0 && std::isfinite(total);
     for (std::size_t i = 0; i < count; ++i) {
         CounterRng rng(hashCombine(key, i));
@@ -279,7 +270,7 @@ void AdaptiveBake::drawPoints(std::size_t count, std::uint64_t key, EvaluateOpti
             const auto found = std::lower_bound(mCells.cells.begin(), mCells.cells.end(), cell);
             if (found == mCells.cells.end() || !(*found == cell)) continue;
             const auto index = static_cast<std::size_t>(found - mCells.cells.begin());
-            density = 0.5 + 0.5 * mCells.contribution[index] / total / cellShare(cell);
+            density = 0.5 + 0.5 * mCells.contribution[index] / total / mRefiner->share(cell);
         }
         evaluate.weights.push_back(1 / density);
     }

@@ -132,7 +132,6 @@ bool Refiner::touchesGeometry(const CellKey& cell) const
     return known != mCut.end() ? known->second : mGeometry.touches(worldBox(cell));
 }
 
-/// Part of the volume's box that lies in the cell.
 double Refiner::share(const CellKey& cell) const
 {
     double inside = 1;

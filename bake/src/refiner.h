@@ -37,6 +37,9 @@ public:
     /// RMS of the surplus over all cells measured so far, with and without the samples' gradients.
     double rmsSurplus(bool gradients) const;
 
+    /// Part of the volume's box that lies in @a cell.
+    double share(const CellKey& cell) const;
+
     /// Decides with the error threshold @a threshold (the other thresholds are the options') and
     /// sees to it that the corners of all cells are in the store. May be called again with a lower
     /// one: nothing is traced or measured twice.
@@ -64,7 +67,6 @@ private:
     double harmonicDistance(const CellKey& cell) const;
     bool touchesGeometry(const CellKey& cell) const;
     Box3d worldBox(const CellKey& cell) const;
-    double share(const CellKey& cell) const;
     bool mayGrow(std::size_t points);
     /// Error of a cell in units of the threshold's: √(error2) · 2^1.5(level − levels).
     double weighted(const CellKey& cell, double error2) const;

@@ -13,6 +13,13 @@
 
 namespace lumivdb::test {
 
+inline ProbeOptions withRays(int rays)
+{
+    ProbeOptions o;
+    o.rays = rays;
+    return o;
+}
+
 /// A function of the place that is known exactly, e.g. one coefficient.
 using ClosedForm = std::function<double(const Vec3d& p)>;
 

@@ -14,13 +14,6 @@ using namespace lumivdb::test;
 
 namespace {
 
-ProbeOptions withRays(int rays)
-{
-    ProbeOptions o;
-    o.rays = rays;
-    return o;
-}
-
 Scene emptyScene()
 {
     Scene scene;

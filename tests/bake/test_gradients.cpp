@@ -21,13 +21,6 @@ using namespace lumivdb::test;
 
 namespace {
 
-ProbeOptions withRays(int rays)
-{
-    ProbeOptions o;
-    o.rays = rays;
-    return o;
-}
-
 /// Norm of the difference of two mean gradients, and what chance alone would make of it.
 struct Difference {
     double norm = 0, chance = 0;
