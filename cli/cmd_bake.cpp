@@ -292,6 +292,7 @@ Json BakeCommand::report(
     const BakeReport& baked = result.report;
     Json json;
     json["samples"] = baked.samples;
+    json["traced_samples"] = baked.tracedSamples;
     json["cells_by_level"] = baked.cellsByLevel;
     json["rays"] = baked.rays;
     json["rays_per_second"] = baked.raysPerSecond;

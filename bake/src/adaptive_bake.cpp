@@ -122,6 +122,12 @@ private:
             Seconds time(mReport.secondsTrace);
             mCells = mRefiner->run(mOptions.refine.error, mProgress);
         }
+        if (mRefiner->isLimited()) {
+            mReport.warnings.push_back("Cells were to be split further, but "
+                + std::to_string(mStore->size()) + " samples are traced and "
+                + std::to_string(mOptions.target.maxSamples)
+                + " allowed: the coarser ones are kept.");
+        }
         return assemble();
     }
 

@@ -4,6 +4,7 @@
 #include <lumivdb/core/error.h>
 #include <lumivdb/core/random.h>
 
+#include "mean_bound.h"
 #include "threads.h"
 
 #include <tbb/enumerable_thread_specific.h>
@@ -24,15 +25,6 @@ namespace {
 constexpr int kMaxRounds = 64;
 constexpr std::size_t kWorstPlaces = 10;
 constexpr std::size_t kTimedQueries = 20000;
-
-/// x with P(normal < x) = p, for ½ ≤ p < 1, to 4.5e-4 (Abramowitz & Stegun 26.2.23).
-double normalQuantile(double p)
-{
-    const double t = std::sqrt(-2 * std::log(1 - p));
-    return t
-        - (2.515517 + t * (0.802853 + t * 0.010328))
-        / (1 + t * (1.432788 + t * (0.189269 + t * 0.001308)));
-}
 
 /// One point that counts: the volume's answer and the reference, per normal.
 struct Comparison {
@@ -185,7 +177,7 @@ private:
     {
         double weights = 0, mean = 0, bias = 0, square = 0, noise = 0;
         std::vector<std::pair<double, double>> absolute; // error, weight
-        std::vector<double> squares; // per point: mean over normals, times the weight
+        std::vector<double> squares, pointWeights; // squares: mean over normals, times the weight
         for (const Comparison& point : mComparisons) {
             const double w = point.weight / static_cast<double>(point.reference.size());
             double square1 = 0, noise1 = 0;
@@ -201,6 +193,7 @@ private:
             square += square1;
             noise += noise1;
             squares.push_back(square1);
+            pointWeights.push_back(point.weight);
             weights += point.weight;
         }
         mean /= weights;
@@ -223,17 +216,10 @@ private:
         const double signedBias = bias < 0 ? -relative(-bias / weights) : relative(bias / weights);
         if (std::abs(signedBias) > std::abs(report.bias)) report.bias = signedBias;
 
-        // The mean square is a ratio of two sums over the points; its variance by linearisation.
         // The bound keeps the reference's noise in: the standard errors, which are taken off the
         // estimate, err on the large side.
         const double meanSquare = square / weights;
-        double variance = 0;
-        for (std::size_t i = 0; i < squares.size(); ++i) {
-            const double d = squares[i] - mComparisons[i].weight * meanSquare;
-            variance += d * d;
-        }
-        variance /= weights * weights;
-        const double bound = meanSquare + normalQuantile(mOptions.confidence) * std::sqrt(variance);
+        const double bound = upperMeanBound(squares, pointWeights, mOptions.confidence);
         const double debiased = std::max(0.0, meanSquare - noise / weights);
         report.relRmseDebiased = std::max(report.relRmseDebiased, relative(std::sqrt(debiased)));
         report.upper = std::max(report.upper, relative(std::sqrt(bound)));
