@@ -309,10 +309,7 @@ void LightPropagationVolume::frontIntensity(const Coord& cell, Color (&I)[4]) co
 }
 
 bool LightPropagationVolume::hasGeometry() const { return !mImpl->geometry.empty(); }
-CellBlocking LightPropagationVolume::blocking(const Coord& p) const
-{
-    return mImpl->geometry.blocking(p);
-}
+Vec3f LightPropagationVolume::blocking(const Coord& p) const { return mImpl->geometry.blocking(p); }
 
 // ---- Volumes.
 

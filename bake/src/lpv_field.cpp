@@ -187,9 +187,9 @@ void LpvField::listTargets()
 {
     mTargets.clear();
     for (const int number : mActive) addTarget(number);
-    for (const int number : mActive) {
+    for (std::size_t i = 0; i < mActive.size(); ++i) { // new leaves move both lists
         for (std::size_t f = 0; f < 6; ++f) {
-            const Leaf& leaf = mLeaves[static_cast<std::size_t>(number)];
+            const Leaf& leaf = mLeaves[static_cast<std::size_t>(mActive[i])];
             if (!(leaf.faceMax[f] > 0)) continue;
             const Coord at = leaf.at + kSteps[f];
             int other = leaf.neighbours[f];

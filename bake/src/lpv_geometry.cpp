@@ -34,21 +34,9 @@ void check(const Blocker& b, std::size_t i)
 int numberOf(const Coord& p) { return leafCell(p.x & 7, p.y & 7, p.z & 7); }
 
 /// Index in a window of 9³ cells.
-std::size_t windowCell(int x, int y, int z)
+std::size_t windowCell(const Coord& c)
 {
-    return static_cast<std::size_t>((x * 9 + y) * 9 + z);
-}
-
-/// The five directions through a face across @a axis, in the order of lpv_kernel.h.
-Vec3f faceDirection(int axis, int number)
-{
-    Vec3f w(0.0f);
-    w[axis] = 1;
-    if (number == 0) return w;
-    w[axis] = 0.8944271909999159f;
-    const int side = number <= 2 ? (axis + 1) % 3 : (axis + 2) % 3;
-    w[side] = number % 2 == 1 ? 0.4472135954999579f : -0.4472135954999579f;
-    return w;
+    return static_cast<std::size_t>((c.x * 9 + c.y) * 9 + c.z);
 }
 
 } // namespace
@@ -68,15 +56,14 @@ LpvGeometry::Cell& LpvGeometry::cellAt(
 
 void LpvGeometry::add(const Blocker& b, Cell& cell) const
 {
-    const auto share = static_cast<float>(static_cast<double>(b.area) / (mSpacing * mSpacing));
-    const Vec3f& n = b.normal;
-    cell.blocking.diagonal += share * Vec3f(n.x * n.x, n.y * n.y, n.z * n.z);
-    cell.blocking.mixed += share * Vec3f(n.y * n.z, n.x * n.z, n.x * n.y);
+    const double share = static_cast<double>(b.area) / (mSpacing * mSpacing);
     for (int axis = 0; axis < 3; ++axis) {
-        const float part = share * n[axis] * n[axis];
+        const auto n = static_cast<double>(b.normal[axis]);
+        const auto part = static_cast<float>(share * std::abs(n));
+        cell.covered[axis] += part;
         // Light that travels up the axis meets the side that looks down.
-        cell.back[axis][0] += part * (n[axis] < 0 ? b.albedo : b.albedoBehind);
-        cell.back[axis][1] += part * (n[axis] < 0 ? b.albedoBehind : b.albedo);
+        cell.back[axis][0] += part * (n < 0 ? b.albedo : b.albedoBehind);
+        cell.back[axis][1] += part * (n < 0 ? b.albedoBehind : b.albedo);
     }
 }
 
@@ -95,10 +82,10 @@ void LpvGeometry::merge(const std::vector<Blocker>& blockers)
     for (const Leaf& leaf : leaves) {
         for (int i = 0; i < kLeafCells; ++i) {
             const Cell& mine = leaf.cells[static_cast<std::size_t>(i)];
-            if (mine.blocking.trace() == 0) continue;
+            if (mine.all() == 0) continue;
             const Coord p = leaf.at * 8 + Coord(i >> 6, (i >> 3) & 7, i & 7);
             Cell& known = cellAt(mLeaves, mIndex, p);
-            if (mine.blocking.trace() > known.blocking.trace()) known = mine;
+            if (mine.all() > known.all()) known = mine;
         }
     }
     makeFaces();
@@ -112,13 +99,13 @@ void LpvGeometry::clear()
     mFaceIndex.clear();
 }
 
-CellBlocking LpvGeometry::blocking(const Coord& p) const
+Vec3f LpvGeometry::blocking(const Coord& p) const
 {
     const int i = mIndex.find(leafOf(p));
     if (i < 0) return {};
     return mLeaves[static_cast<std::size_t>(i)]
         .cells[static_cast<std::size_t>(numberOf(p))]
-        .blocking;
+        .covered;
 }
 
 /// A leaf's faces touch the geometry cells of its own leaf and of those before it.
@@ -154,52 +141,45 @@ LpvGeometry::Window LpvGeometry::windowOf(const Coord& leaf) const
         for (int x = first(0); x <= last(0); ++x)
             for (int y = first(1); y <= last(1); ++y)
                 for (int z = first(2); z <= last(2); ++z)
-                    window[windowCell(x, y, z)] = cells[static_cast<std::size_t>(
+                    window[windowCell({x, y, z})] = cells[static_cast<std::size_t>(
                         leafCell((x + 7) & 7, (y + 7) & 7, (z + 7) & 7))];
     }
     return window;
 }
 
-void LpvGeometry::fillAxis(int axis, const Window& window, Faces& faces) const
+/// Window cell c is the one before cell c of the leaf, so that the face below cell c lies in it.
+LpvGeometry::Cell LpvGeometry::meanAtFace(int axis, const Coord& cell, const Window& window)
 {
-    const int u = (axis + 1) % 3, v = (axis + 2) % 3;
+    Cell mean;
+    for (int i = 0; i < 4; ++i) {
+        Coord c = cell;
+        c[(axis + 1) % 3] += i & 1;
+        c[(axis + 2) % 3] += i >> 1;
+        const Cell& corner = window[windowCell(c)];
+        mean.covered += 0.25f * corner.covered;
+        for (int k = 0; k < 2; ++k) mean.back[axis][k] += 0.25f * corner.back[axis][k];
+    }
+    return mean;
+}
+
+void LpvGeometry::fillAxis(int axis, const Window& window, Faces& faces)
+{
+    const auto plane = [](std::vector<float>& values, int number) {
+        return values.data() + static_cast<std::ptrdiff_t>(number) * kFaceStride;
+    };
     int size[3] = {8, 8, 8};
     size[axis] = 9;
-    for (int x = 0; x < size[0]; ++x) {
-        for (int y = 0; y < size[1]; ++y) {
-            for (int z = 0; z < size[2]; ++z) {
-                // Window cell c is the one before cell c of the leaf: face c lies in it.
-                CellBlocking mean;
-                Color back[2] = {Color(0.0f), Color(0.0f)};
-                for (int i = 0; i < 4; ++i) {
-                    Coord c(x, y, z);
-                    c[u] += i & 1;
-                    c[v] += i >> 1;
-                    const Cell& corner = window[windowCell(c.x, c.y, c.z)];
-                    mean.diagonal += 0.25f * corner.blocking.diagonal;
-                    mean.mixed += 0.25f * corner.blocking.mixed;
-                    for (int k = 0; k < 2; ++k) back[k] += 0.25f * corner.back[axis][k];
-                }
-                const int cell[3] = {x, y, z};
-                const auto face = static_cast<std::size_t>(faceOf(axis, cell));
-                for (int k = 0; k < kFaceDirections; ++k) {
-                    const float stopped
-                        = std::clamp(mean.stopped(faceDirection(axis, k)), 0.0f, 1.0f);
-                    faces.pass[static_cast<std::size_t>(axis * kFaceDirections + k) * kFaceStride
-                        + face]
-                        = 1 - stopped;
-                }
-                if (faces.reflect.empty() || !(mean.diagonal[axis] > 0)) continue;
-                for (int k = 0; k < 2; ++k) {
-                    for (int channel = 0; channel < 3; ++channel) {
-                        faces.reflect[static_cast<std::size_t>((axis * 2 + k) * 3 + channel)
-                                * kFaceStride
-                            + face]
-                            = back[k][channel] / mean.diagonal[axis];
-                    }
-                }
-            }
-        }
+    for (int i = 0; i < kFaces; ++i) {
+        const int cell[3] = {i / (size[1] * size[2]), i / size[2] % size[1], i % size[2]};
+        const Cell mean = meanAtFace(axis, Coord(cell[0], cell[1], cell[2]), window);
+        const float covered = mean.covered[axis];
+        const int face = faceOf(axis, cell);
+        plane(faces.pass, axis)[face] = 1 - std::min(covered, 1.0f);
+        if (faces.reflect.empty() || !(covered > 0)) continue;
+        for (int k = 0; k < 2; ++k)
+            for (int c = 0; c < 3; ++c)
+                plane(faces.reflect, (axis * 2 + k) * 3 + c)[face]
+                    = mean.back[axis][k][c] / covered;
     }
 }
 

@@ -26,7 +26,7 @@ public:
     void merge(const std::vector<Blocker>& blockers);
     void clear();
 
-    CellBlocking blocking(const Coord& p) const;
+    Vec3f blocking(const Coord& p) const;
     bool empty() const { return mLeaves.empty(); }
     /// For a leaf of light cells, its faces' kPassFloats and kReflectFloats; null where nothing is
     /// in the way, or where nothing comes back.
@@ -35,10 +35,11 @@ public:
     std::size_t memoryBytes() const;
 
 private:
-    /// Of a geometry cell: what it stops, and what it would send back times what it stops, of light
-    /// that travels up and down each axis.
+    /// Of a geometry cell, per axis: the share that is covered, and that times albedo for light
+    /// that travels up and down the axis.
     struct Cell {
-        CellBlocking blocking;
+        Vec3f covered{0, 0, 0};
+        float all() const { return covered.x + covered.y + covered.z; }
         Color back[3][2]
             = {{Color(0.0f), Color(0.0f)}, {Color(0.0f), Color(0.0f)}, {Color(0.0f), Color(0.0f)}};
     };
@@ -55,7 +56,8 @@ private:
     void add(const Blocker& blocker, Cell& cell) const;
     void makeFaces();
     Window windowOf(const Coord& leaf) const;
-    void fillAxis(int axis, const Window& window, Faces& faces) const;
+    static Cell meanAtFace(int axis, const Coord& cell, const Window& window);
+    static void fillAxis(int axis, const Window& window, Faces& faces);
 
     double mSpacing;
     LpvBounces mBounces;

@@ -14,12 +14,6 @@ namespace HWY_NAMESPACE {
 
 namespace {
 
-/// Number among a face's directions of side face @a side (1 … 4) of a link.
-template <bool Up> constexpr int faceDirection(int side)
-{
-    return side == 0 || Up ? side : ((side - 1) ^ 1) + 1; // −(2d + u) is (2d − u) going down
-}
-
 /// The cells one below (Up: light comes from there) or one above those at @a p, whose row begins
 /// at z = 0 of a leaf; the cell outside the leaf is that of @a beyond, the row's neighbour.
 template <bool Up> HWY_INLINE State loadShifted(const float* p, const float* beyond, int z)
@@ -47,17 +41,16 @@ struct RowFaces {
 
 /// Light of @a from that arrives along a link, less what is stopped on the way.
 template <int Axis, bool Up, bool Clamp, bool Occlude>
-HWY_INLINE void arrive(const State& from, const RowFaces& faces, Sums& sums)
+HWY_INLINE void arrive(State from, const RowFaces& faces, Sums& sums)
 {
-    Fluxes x = send<Axis, Up, Clamp>(from);
     if constexpr (Occlude) {
-        const float* pass
-            = faces.pass + Axis * kFaceDirections * kFaceStride + faces.face[Axis][Up ? 0 : 1];
-        for (int i = 0; i < kFaceDirections; ++i) {
-            x.f[i] = hn::Mul(x.f[i], hn::LoadU(Row(), pass + faceDirection<Up>(i) * kFaceStride));
-        }
+        // What passes is the same share in all directions of the link: of the flux, of the state.
+        const Vec pass
+            = hn::LoadU(Row(), faces.pass + Axis * kFaceStride + faces.face[Axis][Up ? 0 : 1]);
+        from.a = hn::Mul(from.a, pass);
+        for (Vec& b : from.b) b = hn::Mul(b, pass);
     }
-    receive<Axis, Up>(x, sums);
+    receive<Axis, Up>(send<Axis, Up, Clamp>(from), sums);
 }
 
 /// Light that cells of state @a s send along a link and that comes back from what stops it there,
@@ -67,20 +60,15 @@ HWY_INLINE void comeBack(const State& s, const RowFaces& faces, int channel, Sta
 {
     const Row d;
     const Fluxes x = send<Axis, Up, Clamp>(s);
-    const int face = faces.face[Axis][Up ? 1 : 0];
-    const float* pass = faces.pass + Axis * kFaceDirections * kFaceStride + face;
-    const Vec one = hn::Set(d, 1.0f);
-    Vec stopped[kFaceDirections];
-    for (int i = 0; i < kFaceDirections; ++i) {
-        const Vec passing = hn::LoadU(d, pass + faceDirection<Up>(i) * kFaceStride);
-        stopped[i] = hn::Mul(x.f[i], hn::Sub(one, passing));
-    }
-    const Vec sides = hn::Add(hn::Add(stopped[1], stopped[2]), hn::Add(stopped[3], stopped[4]));
+    const Vec sides = hn::Add(hn::Add(x.f[1], x.f[2]), hn::Add(x.f[3], x.f[4]));
     const Vec all = hn::Add(
-        hn::Mul(hn::Set(d, kFrontWeight), stopped[0]), hn::Mul(hn::Set(d, kSideWeight), sides));
+        hn::Mul(hn::Set(d, kFrontWeight), x.f[0]), hn::Mul(hn::Set(d, kSideWeight), sides));
+    const int face = faces.face[Axis][Up ? 1 : 0];
+    const Vec pass = hn::LoadU(d, faces.pass + Axis * kFaceStride + face);
     const float* reflect
         = faces.reflect + ((Axis * 2 + (Up ? 0 : 1)) * 3 + channel) * kFaceStride + face;
-    const Vec back = hn::Mul(all, hn::LoadU(d, reflect));
+    const Vec stopped = hn::Sub(hn::Set(d, 1.0f), pass);
+    const Vec back = hn::Mul(hn::Mul(all, stopped), hn::LoadU(d, reflect));
     const Vec lobe = hn::Add(back, back);
     result.a = hn::Add(result.a, back);
     result.b[Axis] = Up ? hn::Sub(result.b[Axis], lobe) : hn::Add(result.b[Axis], lobe);

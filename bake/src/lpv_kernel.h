@@ -40,12 +40,9 @@ constexpr int faceOf(int axis, const int (&cell)[3])
         : axis == 1  ? 72 * cell[0] + 8 * cell[1] + cell[2]
                      : 72 * cell[0] + 9 * cell[1] + cell[2];
 }
-/// Five directions through a face across axis d: along d, and (2d ± u)/√5, (2d ± v)/√5 with u, v
-/// the axes after d; a direction and its opposite share a number.
-constexpr int kFaceDirections = 5;
 constexpr int kFaceStride = kFaces + 16;
-/// Share of light that passes a face, [axis][direction][face].
-constexpr int kPassFloats = 3 * kFaceDirections * kFaceStride;
+/// Share of light that passes a face, [axis][face].
+constexpr int kPassFloats = 3 * kFaceStride;
 /// Reflectance of what light meets at a face when it travels up or down the axis,
 /// [axis][0: up, 1: down][channel][face].
 constexpr int kReflectFloats = 3 * 2 * 3 * kFaceStride;

@@ -33,7 +33,7 @@ struct State {
 
 /// Fluxes over Ω of a link: front, and towards the side faces +u, −u, +v, −v.
 struct Fluxes {
-    Vec f[kFaceDirections];
+    Vec f[5];
 };
 
 template <bool Clamp> HWY_INLINE Vec limited(Vec v)

@@ -69,14 +69,14 @@ void forSamples(const IrradianceVolume& volume, const std::function<void(SampleI
         });
 }
 
-void finishVolume(IrradianceVolume& volume,
-    const std::function<CellBlocking(const Cell&)>& blocking, bool geometry)
+void finishVolume(
+    IrradianceVolume& volume, const std::function<Vec3f(const Cell&)>& blocking, bool geometry)
 {
     volume.metadata().contribution = "indirect";
     forSamples(volume,
         [&volume](SampleId s) { volume.distance(s) = std::numeric_limits<float>::infinity(); });
     if (!geometry) return;
-    std::vector<CellBlocking> all(volume.cellCount());
+    std::vector<Vec3f> all(volume.cellCount());
     for (std::size_t i = 0; i < all.size(); ++i)
         all[i] = blocking(volume.cell(static_cast<CellId>(i)));
     volume.setBlocking(std::move(all));

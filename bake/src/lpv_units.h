@@ -41,7 +41,7 @@ private:
 void forSamples(const IrradianceVolume& volume, const std::function<void(SampleId)>& f);
 
 /// What every volume of propagated light has besides radiance: metadata, distances, blocking.
-void finishVolume(IrradianceVolume& volume,
-    const std::function<CellBlocking(const Cell&)>& blocking, bool geometry);
+void finishVolume(
+    IrradianceVolume& volume, const std::function<Vec3f(const Cell&)>& blocking, bool geometry);
 
 } // namespace lumivdb::detail

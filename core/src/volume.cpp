@@ -228,11 +228,11 @@ void IrradianceVolume::setVisibility(const std::vector<std::pair<CellId, CellVis
 }
 
 bool IrradianceVolume::hasBlocking() const { return !mImpl->blocking.empty(); }
-CellBlocking IrradianceVolume::blocking(CellId id) const
+Vec3f IrradianceVolume::blocking(CellId id) const
 {
-    return hasBlocking() ? mImpl->blocking[static_cast<std::size_t>(id)] : CellBlocking();
+    return hasBlocking() ? mImpl->blocking[static_cast<std::size_t>(id)] : Vec3f(0.0f);
 }
-void IrradianceVolume::setBlocking(std::vector<CellBlocking> blocking)
+void IrradianceVolume::setBlocking(std::vector<Vec3f> blocking)
 {
     if (!blocking.empty() && blocking.size() != cellCount()) {
         throw Error(ErrorCode::Usage,
@@ -250,7 +250,7 @@ std::size_t IrradianceVolume::memoryBytes() const
     const Topology& t = *mImpl->topology;
     return mImpl->records.size() * sizeof(Color) + mImpl->offsets.size() * sizeof(Vec3f)
         + mImpl->cutOf.size() * sizeof(std::int32_t) + mImpl->cuts.size() * sizeof(CellVisibility)
-        + mImpl->blocking.size() * sizeof(CellBlocking)
+        + mImpl->blocking.size() * sizeof(Vec3f)
         + (mImpl->validity.size() + mImpl->distance.size()) * sizeof(float)
         + t.cells.size() * sizeof(Cell) + t.positions.size() * sizeof(Coord)
         + t.keys.size() * sizeof(std::uint64_t) + t.index->memUsage();

@@ -35,12 +35,13 @@
 ///
 /// **Geometry** lies between the cells: geometry cell (i, j, k) spans the lattice points (i, j, k)
 /// to (i+1, j+1, k+1), half a cell off, where the result has its cell. A surface of area a with
-/// normal n adds a/spacing² · |n·w| to the share of light that is stopped in direction w, whichever
-/// side it comes from; of that the even bands up to l = 2 are kept (of one in front of a wall:
-/// 9/8, limited to 1, against the wall and 15/16 at the angle of the side faces). The paper keeps
-/// one-sided lobes of two bands, which let a quarter of the light through a wall that faces it and
-/// all of it from behind. A link is checked at the face between its cells, with the mean of the
-/// face's four corners.
+/// normal n covers the share a |n_x| / spacing² of the cell's cross section seen along x, and so on
+/// along y and z, from whichever side. A link is stopped at the face between its cells by the mean
+/// share of the face's four corners, limited to 1. (The paper keeps lobes of two bands of spherical
+/// harmonics, a/spacing² max(0, n·w): they let a quarter of the light pass a wall that it meets at
+/// right angles, all of it from behind, and stop some that goes along the wall. The five directions
+/// of a link are within 27° of it and go through the same face, so that what covers the face counts
+/// for all five: a closed wall is then closed, and light along it is free.)
 ///
 /// **Result** is what has passed through each cell, in radiance. A link of a cell with isotropic
 /// intensity I carries the flux (Ω_f + 4Ω_s) I = (2π/3) I, the same face under isotropic radiance L
@@ -162,15 +163,15 @@ public:
     /// What the front holds in a cell: radiant intensity Σ @a I[i] Y_i(w), w the way it goes.
     void frontIntensity(const Coord& cell, Color (&I)[4]) const;
 
-    /// Two bands of radiance at every cell, and the geometry volume as CellBlocking. Samples are
+    /// Two bands of radiance at every cell, and the geometry volume as its blocking. Samples are
     /// valid and their distance +∞: surfels do not know solids. An unbounded volume has the blocks
     /// that light has reached; @throws Error(Usage) where there is none.
     IrradianceVolume makeVolume() const;
     /// Writes radiance again into a volume that makeVolume() made, after the light has changed.
     void updateVolume(IrradianceVolume& volume) const;
     bool hasGeometry() const;
-    /// Of the geometry cell with lower corner @a p; all zero where there is none.
-    CellBlocking blocking(const Coord& p) const;
+    /// Share of the geometry cell with lower corner @a p that is covered, seen along x, y, z.
+    Vec3f blocking(const Coord& p) const;
 
 private:
     struct Impl;

@@ -89,30 +89,6 @@ struct CellVisibility {
     }
 };
 
-/// How much of the light that crosses a cell the surfaces in it stop, in two bands of direction
-/// (the geometry volume of a light propagation volume). Surfaces of area a and unit normal n (along
-/// the lattice's axes) in a cell of width h make M = Σ a/h² n nᵀ; of light in direction w they stop
-/// the share Σ a/h² |n·w|, whose even spherical harmonics up to l = 2 are 3/16 tr M + 15/16 wᵀM w.
-struct CellBlocking {
-    Vec3f diagonal{0, 0, 0}; ///< M_xx, M_yy, M_zz
-    Vec3f mixed{0, 0, 0}; ///< M_yz, M_xz, M_xy
-
-    float trace() const { return diagonal.x + diagonal.y + diagonal.z; }
-    /// Share of light in unit direction @a w along the lattice's axes that is stopped; not limited
-    /// to 1.
-    float stopped(const Vec3f& w) const
-    {
-        const float along = diagonal.x * w.x * w.x + diagonal.y * w.y * w.y + diagonal.z * w.z * w.z
-            + 2 * (mixed.x * w.y * w.z + mixed.y * w.x * w.z + mixed.z * w.x * w.y);
-        return 3.0f / 16 * trace() + 15.0f / 16 * along;
-    }
-    bool operator==(const CellBlocking& o) const
-    {
-        return diagonal == o.diagonal && mixed == o.mixed;
-    }
-    bool operator!=(const CellBlocking& o) const { return !(*this == o); }
-};
-
 enum class GradientStorage { None, PerCoefficient };
 
 /// What a volume is of and how it came to be; travels with the file on every grid.
@@ -212,12 +188,13 @@ public:
     /// Replaces all of it. Each cell at most once, in any order.
     void setVisibility(const std::vector<std::pair<CellId, CellVisibility>>& cut);
 
-    /// What stops light in each cell; queries do not use it. Volumes of light propagation have it.
+    /// The geometry volume of propagated light; queries do not use it. Share of the cell's cross
+    /// section that surfaces in it cover, seen along the lattice's x, y and z: Σ area · |n| /
+    /// width², more than 1 where they lie behind each other.
     bool hasBlocking() const;
-    /// All zero where there is none.
-    CellBlocking blocking(CellId id) const;
+    Vec3f blocking(CellId id) const; ///< 0 where there is none
     /// One per cell, or none at all. @throws Error(Usage) for another count.
-    void setBlocking(std::vector<CellBlocking> blocking);
+    void setBlocking(std::vector<Vec3f> blocking);
 
     VolumeMetadata& metadata();
     const VolumeMetadata& metadata() const;
