@@ -106,6 +106,7 @@ IrradianceVolume IrradianceVolume::cloneTopology(int bands, GradientStorage grad
     impl->offsets = mImpl->offsets;
     impl->cutOf = mImpl->cutOf;
     impl->cuts = mImpl->cuts;
+    impl->blocking = mImpl->blocking;
     return IrradianceVolume(std::move(impl));
 }
 
@@ -226,6 +227,21 @@ void IrradianceVolume::setVisibility(const std::vector<std::pair<CellId, CellVis
     }
 }
 
+bool IrradianceVolume::hasBlocking() const { return !mImpl->blocking.empty(); }
+Vec3f IrradianceVolume::blocking(CellId id) const
+{
+    return hasBlocking() ? mImpl->blocking[static_cast<std::size_t>(id)] : Vec3f(0.0f);
+}
+void IrradianceVolume::setBlocking(std::vector<Vec3f> blocking)
+{
+    if (!blocking.empty() && blocking.size() != cellCount()) {
+        throw Error(ErrorCode::Usage,
+            "A volume of " + std::to_string(cellCount()) + " cells was given "
+                + std::to_string(blocking.size()) + " of blocking; give one for each, or none.");
+    }
+    mImpl->blocking = std::move(blocking);
+}
+
 VolumeMetadata& IrradianceVolume::metadata() { return mImpl->metadata; }
 const VolumeMetadata& IrradianceVolume::metadata() const { return mImpl->metadata; }
 
@@ -234,6 +250,7 @@ std::size_t IrradianceVolume::memoryBytes() const
     const Topology& t = *mImpl->topology;
     return mImpl->records.size() * sizeof(Color) + mImpl->offsets.size() * sizeof(Vec3f)
         + mImpl->cutOf.size() * sizeof(std::int32_t) + mImpl->cuts.size() * sizeof(CellVisibility)
+        + mImpl->blocking.size() * sizeof(Vec3f)
         + (mImpl->validity.size() + mImpl->distance.size()) * sizeof(float)
         + t.cells.size() * sizeof(Cell) + t.positions.size() * sizeof(Coord)
         + t.keys.size() * sizeof(std::uint64_t) + t.index->memUsage();

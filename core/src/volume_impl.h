@@ -60,6 +60,7 @@ struct IrradianceVolume::Impl {
     std::vector<Vec3f> offsets; // empty: all zero
     std::vector<std::int32_t> cutOf; // cell → index in cuts, −1: uncut; empty: none is cut
     std::vector<CellVisibility> cuts;
+    std::vector<Vec3f> blocking; // per cell; empty: none
     VolumeMetadata metadata;
 
     std::size_t stride() const

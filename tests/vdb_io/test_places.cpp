@@ -61,6 +61,8 @@ void checkPart(const IrradianceVolume& part, const IrradianceVolume& whole)
         const CellVisibility* b = whole.visibility(whole.findCell(part.cell(CellId(i)).origin));
         REQUIRE((a != nullptr) == (b != nullptr));
         if (a) REQUIRE(*a == *b);
+        REQUIRE(part.blocking(CellId(i))
+            == whole.blocking(whole.findCell(part.cell(CellId(i)).origin)));
     }
     for (std::size_t s = 0; s < part.sampleCount(); ++s) {
         const auto t = whole.findSample(part.samplePosition(SampleId(s)));
@@ -140,7 +142,7 @@ TEST_CASE("only what a volume has is written")
     IrradianceVolume volume = uniformVolume({0, 0, 0}, {3, 3, 3}, 1, false);
     saveVolume(volume, folder.file("plain.vdb"));
     const Grids plain = readGrids(folder.file("plain.vdb"));
-    for (const char* name : {"wall_0", "wall_offset", "mask_0", "offset"})
+    for (const char* name : {"wall_0", "wall_offset", "mask_0", "offset", "blocking"})
         CHECK(plain.count(name) == 0);
     CHECK(!(*plain.at("level"))["lumivdb_cut_cells"]);
     CHECK(!(*plain.at("level"))["lumivdb_lattice_bounds"]);
@@ -150,6 +152,8 @@ TEST_CASE("only what a volume has is written")
     for (const char* name : {"wall_0", "wall_1", "wall_2", "wall_offset", "mask_0", "mask_1"})
         CHECK(cut.count(name) == 1);
     CHECK(cut.count("offset") == 1);
+    CHECK(cut.count("blocking") == 1);
+    CHECK(cut.at("level")->metaValue<std::int64_t>("lumivdb_blocked_cells") > 0);
     CHECK(cut.at("level")->metaValue<std::int64_t>("lumivdb_cut_cells")
         == static_cast<std::int64_t>(cutCells(volume)));
     CHECK(cut.at("level")->metaValue<std::string>("lumivdb_lattice_bounds") == "0 0 0 2 3 3");
@@ -183,6 +187,13 @@ TEST_CASE("damaged visibility and offsets are refused by name")
                     {"wall_0", "wall_1", "wall_2", "wall_offset", "mask_0", "mask_1"})
                     g.erase(n);
             }},
+        {"missing blocking", "'blocking'", [](Grids& g) { g.erase("blocking"); }},
+        {"infinite blocking", "'blocking'",
+            [&](Grids& g) {
+                vectors(g, "blocking").tree().setValueOn({0, 1, 0}, {0, 0, 1 / 0.0f});
+            }},
+        {"fewer blocks than said", "'lumivdb_blocked_cells'",
+            [&](Grids& g) { everywhere(g, "lumivdb_blocked_cells", openvdb::Int64Metadata(1)); }},
         {"missing offsets", "'offset'", [](Grids& g) { g.erase("offset"); }},
         {"NaN normal", "'wall_2'",
             [&](Grids& g) {
@@ -276,6 +287,13 @@ TEST_CASE("what cannot be read is not written")
     offsets[2].y = std::numeric_limits<float>::quiet_NaN();
     volume.setOffsets(offsets);
     CHECK_THAT(refused(), Catch::Contains("'offset'"));
+    volume.setOffsets({});
+    std::vector<Vec3f> blocking(volume.cellCount(), Vec3f(0.0f));
+    blocking[1].z = std::numeric_limits<float>::infinity();
+    volume.setBlocking(blocking);
+    CHECK_THAT(refused(), Catch::Contains("'blocking'"));
+    blocking.pop_back();
+    CHECK_THROWS_AS(volume.setBlocking(blocking), Error);
     CHECK(folder.entries() == 0);
 }
 

@@ -91,6 +91,10 @@ void cutAndMove(IrradianceVolume& volume, std::uint64_t seed)
         if (rng.next() < 0.3f) o = Vec3f(number(), number(), number()) * 1e-3f;
     offsets[0] = Vec3f(-0.0f, 1e-40f, 0.25f);
     volume.setOffsets(std::move(offsets));
+    std::vector<Vec3f> blocking(volume.cellCount(), Vec3f(0.0f));
+    for (std::size_t i = 0; i < blocking.size(); ++i)
+        if (rng.next() < 0.4f || i == 0) blocking[i] = Vec3f(number(), number(), number());
+    volume.setBlocking(std::move(blocking));
     volume.metadata().bounds
         = LatticeBox{volume.minLattice(), volume.maxLattice() - Coord(1, 0, 0)};
 }
@@ -175,6 +179,12 @@ std::string difference(const IrradianceVolume& a, const IrradianceVolume& b)
                              *vb = b.visibility(static_cast<CellId>(i));
         if (va && vb ? !same(va, vb, sizeof *va) : va != vb)
             return "visibility of cell " + std::to_string(i);
+    }
+    if (a.hasBlocking() != b.hasBlocking()) return "blocking";
+    for (std::size_t i = 0; i < a.cellCount(); ++i) {
+        const Vec3f ba = a.blocking(static_cast<CellId>(i)),
+                    bb = b.blocking(static_cast<CellId>(i));
+        if (!same(&ba, &bb, sizeof ba)) return "blocking of cell " + std::to_string(i);
     }
     if (a.hasOffsets() != b.hasOffsets()) return "offsets";
     const auto bytes = sizeof(Color) * static_cast<std::size_t>(a.coefficients());

@@ -27,7 +27,8 @@ private:
 /// Fills every record with numbers that depend on the sample alone (all signs and magnitudes).
 void fillRandom(IrradianceVolume& volume, std::uint64_t seed, float magnitude = 1.0f);
 
-/// Random visibility for about half the cells, random offsets for some samples, and bounds.
+/// Random visibility and blocking for about half the cells, random offsets for some samples, and
+/// bounds.
 void cutAndMove(IrradianceVolume& volume, std::uint64_t seed);
 
 IrradianceVolume uniformVolume(
@@ -40,8 +41,8 @@ IrradianceVolume uniformVolume(
 IrradianceVolume adaptiveVolume(
     const Coord& origin, int rootLevel, const Coord& target, int bands, bool gradients);
 
-/// Same lattice, cells, visibility, records, offsets and metadata, bit for bit. Reports the first
-/// difference.
+/// Same lattice, cells, visibility, blocking, records, offsets and metadata, bit for bit. Reports
+/// the first difference.
 std::string difference(const IrradianceVolume& a, const IrradianceVolume& b);
 
 std::vector<char> readBytes(const std::string& path);

@@ -120,6 +120,12 @@ void addOptional(const IrradianceVolume& volume, openvdb::MetaMap& map)
             moved += volume.offset(static_cast<SampleId>(s)) != Vec3f(0.0f);
         add("moved_samples", Int64Metadata(moved));
     }
+    if (volume.hasBlocking()) {
+        std::int64_t blocked = 0;
+        for (std::size_t i = 0; i < volume.cellCount(); ++i)
+            blocked += volume.blocking(static_cast<CellId>(i)) != Vec3f(0.0f);
+        add("blocked_cells", Int64Metadata(blocked));
+    }
     if (volume.metadata().bounds)
         add("lattice_bounds", StringMetadata(boundsText(*volume.metadata().bounds)));
 }
@@ -200,6 +206,7 @@ FileMetadata parseMetadata(const openvdb::MetaMap& map, const std::string& where
     meta.sceneHash = require<std::string>(map, "scene_hash", where);
     file.cutCells = optionalCount(map, "cut_cells", where).value_or(0);
     file.movedSamples = optionalCount(map, "moved_samples", where);
+    file.blockedCells = optionalCount(map, "blocked_cells", where);
     const auto bounds = optionalEntry<std::string>(map, "lattice_bounds", where);
     if (bounds) meta.bounds = parseBounds(*bounds, where);
     return file;

@@ -18,6 +18,7 @@ constexpr const char* kLevelGrid = "level";
 constexpr const char* kValidityGrid = "validity";
 constexpr const char* kDistanceGrid = "distance";
 constexpr const char* kOffsetGrid = "offset";
+constexpr const char* kBlockingGrid = "blocking";
 constexpr const char* kColorGrid = "color";
 constexpr const char* kDensityGrid = "density";
 constexpr const char* kMetadataPrefix = "lumivdb_";
@@ -51,6 +52,7 @@ struct FileMetadata {
     bool gradients = false;
     std::int64_t cutCells = 0; ///< cells with visibility; 0: no such grids
     std::optional<std::int64_t> movedSamples; ///< with an offset other than 0; none: no such grid
+    std::optional<std::int64_t> blockedCells; ///< with blocking other than 0; none: no such grid
     VolumeMetadata volume;
 };
 
@@ -74,6 +76,10 @@ openvdb::Int32Tree::Ptr makeLevelTree(
 
 /// Same shape, ids of the covering cells where they have visibility, −1 elsewhere.
 openvdb::Int32Tree::Ptr makeCutTree(
+    const IrradianceVolume& volume, const openvdb::Int32Tree& source);
+
+/// Same shape, ids of the covering cells, −1 at samples that no cell covers.
+openvdb::Int32Tree::Ptr makeCellTree(
     const IrradianceVolume& volume, const openvdb::Int32Tree& source);
 
 openvdb::math::Transform::Ptr makeTransform(const Mat4d& indexToWorld);

@@ -60,7 +60,8 @@ VolumeLoader::VolumeLoader(const std::string& path, Progress* progress)
 bool VolumeLoader::isChannel(const std::string& name)
 {
     return name == kLevelGrid || name == kValidityGrid || name == kDistanceGrid
-        || name == kOffsetGrid || CutReader::isGrid(name) || name.rfind("sh_", 0) == 0;
+        || name == kOffsetGrid || name == kBlockingGrid || CutReader::isGrid(name)
+        || name.rfind("sh_", 0) == 0;
 }
 
 void VolumeLoader::fail(const std::string& sentence) const
@@ -127,7 +128,7 @@ void VolumeLoader::makeVolume(const openvdb::GridBase& grid)
     mChannels = colorChannels(mFile.bands, mFile.gradients);
     if (mProgress) {
         mProgress->begin("read volume",
-            mChannels.size() + 3 + (mFile.movedSamples ? 1 : 0)
+            mChannels.size() + 3 + (mFile.movedSamples ? 1 : 0) + (mFile.blockedCells ? 1 : 0)
                 + (mFile.cutCells > 0 ? cutGridNames().size() : 0));
     }
     if (mProgress) mProgress->advance(1);
@@ -172,6 +173,8 @@ void VolumeLoader::take(const openvdb::GridBase::ConstPtr& pointer)
         takeScalars(grid);
     } else if (name == kOffsetGrid) {
         takeOffsets(grid);
+    } else if (name == kBlockingGrid) {
+        takeBlocking(grid);
     } else if (CutReader::isGrid(name)) {
         takeCut(pointer);
     }
@@ -249,6 +252,28 @@ void VolumeLoader::takeOffsets(const openvdb::GridBase& grid)
     mVolume->setOffsets(std::move(offsets));
 }
 
+void VolumeLoader::takeBlocking(const openvdb::GridBase& grid)
+{
+    checkChannel(grid);
+    const auto* vectors = dynamic_cast<const openvdb::Vec3SGrid*>(&grid);
+    if (!vectors)
+        fail(where(kBlockingGrid) + " has type " + grid.valueType() + " instead of vec3s.");
+    if (!sameVoxels(vectors->tree(), *mSource))
+        fail(where(kBlockingGrid) + " and grid 'level' have different active voxels.");
+    std::vector<Vec3f> blocking(mVolume->cellCount());
+    openvdb::tree::ValueAccessor<const openvdb::Vec3STree> access(vectors->tree());
+    for (std::size_t i = 0; i < blocking.size(); ++i) {
+        const Coord origin = mVolume->cell(static_cast<CellId>(i)).origin;
+        const openvdb::Vec3s v = access.getValue(toVdb(origin));
+        if (!std::isfinite(v.x()) || !std::isfinite(v.y()) || !std::isfinite(v.z())) {
+            fail(where(kBlockingGrid) + " is NaN or infinite at lattice point " + pointText(origin)
+                + "; bake it again.");
+        }
+        blocking[i] = Vec3f(v.x(), v.y(), v.z());
+    }
+    mVolume->setBlocking(std::move(blocking));
+}
+
 void VolumeLoader::takeCut(const openvdb::GridBase::ConstPtr& grid)
 {
     const std::string name = grid->getName();
@@ -296,6 +321,23 @@ void VolumeLoader::checkMoved() const
     }
 }
 
+void VolumeLoader::checkBlocked() const
+{
+    if (mFile.blockedCells.has_value() != mVolume->hasBlocking()) {
+        fail(mFile.blockedCells ? where(kBlockingGrid) + " is missing; bake it again."
+                                : where(kBlockingGrid)
+                    + " is there without the metadata 'lumivdb_blocked_cells'; bake it again.");
+    }
+    std::int64_t blocked = 0;
+    for (std::size_t i = 0; i < mVolume->cellCount(); ++i)
+        blocked += mVolume->blocking(static_cast<CellId>(i)) != Vec3f(0.0f);
+    if (blocked != mFile.blockedCells.value_or(0)) {
+        fail(where(kBlockingGrid) + " blocks " + std::to_string(blocked)
+            + " cells where 'lumivdb_blocked_cells' says " + std::to_string(*mFile.blockedCells)
+            + "; bake it again.");
+    }
+}
+
 IrradianceVolume VolumeLoader::finish()
 {
     if (mSeen.empty()) {
@@ -311,6 +353,7 @@ IrradianceVolume VolumeLoader::finish()
     for (const ColorChannel& channel : mChannels) require(channel.name);
     applyCuts();
     checkMoved();
+    checkBlocked();
     mSlots.reset();
     return std::move(*mVolume);
 }

@@ -40,9 +40,11 @@ private:
     void takeColors(const openvdb::GridBase& grid, const ColorChannel& channel);
     void takeScalars(const openvdb::GridBase& grid);
     void takeOffsets(const openvdb::GridBase& grid);
+    void takeBlocking(const openvdb::GridBase& grid);
     void takeCut(const openvdb::GridBase::ConstPtr& grid);
     void applyCuts();
     void checkMoved() const;
+    void checkBlocked() const;
 
     std::string mPath;
     Progress* mProgress;

@@ -59,6 +59,18 @@ void copyPlaces(const std::vector<const IrradianceVolume*>& from, IrradianceVolu
             if (const CellVisibility* v = volume->visibility(id)) cuts.emplace_back(target, *v);
         }
     }
+    std::vector<Vec3f> blocking;
+    for (auto volume = from.rbegin(); volume != from.rend(); ++volume) {
+        for (std::size_t i = 0; i < (*volume)->cellCount() && (*volume)->hasBlocking(); ++i) {
+            const Cell& cell = (*volume)->cell(static_cast<CellId>(i));
+            const CellId target = to.findCell(cell.origin);
+            if (target == kNoCell || to.cell(target).level != cell.level) continue;
+            blocking.resize(to.cellCount(), Vec3f(0.0f));
+            blocking[static_cast<std::size_t>(target)]
+                = (*volume)->blocking(static_cast<CellId>(i));
+        }
+    }
+    to.setBlocking(std::move(blocking));
     to.setOffsets(std::move(offsets));
     to.setVisibility(cuts);
 }

@@ -24,8 +24,8 @@ void copyRecord(const IrradianceVolume& from, SampleId s, IrradianceVolume& to, 
 bool sameRecord(const IrradianceVolume& a, SampleId s, const IrradianceVolume& b, SampleId t,
     bool colors = true);
 
-/// Gives @a to the offsets of the samples and the visibility of the cells that it shares with the
-/// volumes @a from (cells of the same level), the first of them that has each.
+/// Gives @a to the offsets of the samples and the visibility and blocking of the cells that it
+/// shares with the volumes @a from (cells of the same level), the first of them that has each.
 void copyPlaces(const std::vector<const IrradianceVolume*>& from, IrradianceVolume& to);
 
 /// The measured error is of another field than this one: says so.

@@ -75,6 +75,18 @@ bool isSavable(const IrradianceVolume& volume, SampleId s, float limit)
             + "is NaN or infinite or a negative distance; check the scene's lights and textures.");
 }
 
+void checkBlocking(const IrradianceVolume& volume, const std::string& path)
+{
+    for (std::size_t i = 0; i < volume.cellCount() && volume.hasBlocking(); ++i) {
+        const auto id = static_cast<CellId>(i);
+        if (isFinite(volume.blocking(id))) continue;
+        throw Error(ErrorCode::Output,
+            "Cannot write '" + path + "': grid '" + kBlockingGrid + "' of the cell at "
+                + pointText(volume.cell(id).origin)
+                + " is NaN or infinite; find the volume's geometry again.");
+    }
+}
+
 void checkPlanes(const IrradianceVolume& volume, CellId id, const std::string& path)
 {
     const CellVisibility* v = volume.visibility(id);
@@ -104,6 +116,7 @@ void checkValues(const IrradianceVolume& volume, bool half, const std::string& p
     if (first != none) refuse(volume, static_cast<SampleId>(first), limit, path);
     for (std::size_t i = 0; i < volume.cellCount() && volume.hasVisibility(); ++i)
         checkPlanes(volume, static_cast<CellId>(i), path);
+    checkBlocking(volume, path);
 }
 
 class VolumeSaver {
@@ -138,6 +151,7 @@ public:
             [&volume](std::int32_t s) { return volume.distance(static_cast<SampleId>(s)); });
         writeColors(*source);
         writeOffsets(*source);
+        writeBlocking(*source);
         if (!mVolume.hasVisibility()) return;
         forCutGrids(
             mVolume, *source, [this](const openvdb::GridBase::Ptr& grid, const std::string& name) {
@@ -187,6 +201,20 @@ private:
         writeChannel(grid, kOffsetGrid, Store::Full);
     }
 
+    void writeBlocking(const openvdb::Int32Tree& source)
+    {
+        if (!mVolume.hasBlocking()) return;
+        const IrradianceVolume& volume = mVolume;
+        const openvdb::Int32Tree::Ptr cells = makeCellTree(volume, source);
+        const auto grid = openvdb::Vec3SGrid::create(makeScalarTree<openvdb::Vec3STree>(
+            *cells, openvdb::Vec3s(0.0f), [&volume](std::int32_t id) {
+                const Vec3f b = id < 0 ? Vec3f(0.0f) : volume.blocking(id);
+                return openvdb::Vec3s(b.x, b.y, b.z);
+            }));
+        grid->setVectorType(openvdb::VEC_INVARIANT);
+        writeChannel(grid, kBlockingGrid, Store::Full);
+    }
+
     void writeChannel(const openvdb::GridBase::Ptr& grid, const std::string& name, Store store)
     {
         grid->setName(name);
@@ -226,7 +254,7 @@ void saveVolume(const IrradianceVolume& volume, const std::string& path, const S
     checkValues(volume, options.half, path);
     const std::size_t grids = colorChannels(volume.bands(), volume.hasGradients()).size() + 3
         + (options.previewVoxel >= 0 ? 2 : 0) + (volume.hasOffsets() ? 1 : 0)
-        + (volume.hasVisibility() ? cutGridNames().size() : 0);
+        + (volume.hasBlocking() ? 1 : 0) + (volume.hasVisibility() ? cutGridNames().size() : 0);
     if (progress) progress->begin("write volume", grids);
     try {
         VdbWriter writer(path, options.codec, static_cast<int>(grids), progress);

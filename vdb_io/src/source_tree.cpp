@@ -71,4 +71,14 @@ Int32Tree::Ptr makeCutTree(const IrradianceVolume& volume, const Int32Tree& sour
     return tree;
 }
 
+Int32Tree::Ptr makeCellTree(const IrradianceVolume& volume, const Int32Tree& source)
+{
+    auto tree = std::make_shared<Int32Tree>(source);
+    mapValues(*tree, [&volume](const openvdb::Coord& p, std::int32_t) -> std::int32_t {
+        const CellId id = volume.findCell(fromVdb(p));
+        return id == kNoCell ? -1 : id;
+    });
+    return tree;
+}
+
 } // namespace lumivdb

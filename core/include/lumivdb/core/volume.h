@@ -116,8 +116,8 @@ public:
     IrradianceVolume& operator=(IrradianceVolume&&) noexcept;
     ~IrradianceVolume();
     IrradianceVolume clone() const;
-    /// The same topology, lattice, offsets, visibility and metadata with another record shape, all
-    /// values zero, validity 1.
+    /// The same topology, lattice, offsets, visibility, blocking and metadata with another record
+    /// shape, all values zero, validity 1.
     IrradianceVolume cloneTopology(int bands, GradientStorage gradients) const;
 
     int bands() const;
@@ -187,6 +187,14 @@ public:
     const CellVisibility* visibility(CellId id) const;
     /// Replaces all of it. Each cell at most once, in any order.
     void setVisibility(const std::vector<std::pair<CellId, CellVisibility>>& cut);
+
+    /// The geometry volume of propagated light; queries do not use it. Share of the cell's cross
+    /// section that surfaces in it cover, seen along the lattice's x, y and z: Σ area · |n| /
+    /// width², more than 1 where they lie behind each other.
+    bool hasBlocking() const;
+    Vec3f blocking(CellId id) const; ///< 0 where there is none
+    /// One per cell, or none at all. @throws Error(Usage) for another count.
+    void setBlocking(std::vector<Vec3f> blocking);
 
     VolumeMetadata& metadata();
     const VolumeMetadata& metadata() const;
