@@ -107,10 +107,11 @@ private:
     std::vector<std::vector<Surfel>> mBatches;
 };
 
-std::vector<Surfel> reflected(
-    const Tracer::Impl& impl, const std::unique_ptr<LightRays>& light, Progress* progress)
+std::vector<Surfel> reflected(const Tracer::Impl& impl, const std::unique_ptr<LightRays>& light,
+    Progress* progress, std::uint64_t* rays = nullptr)
 {
     if (!light) return {};
+    if (rays) *rays += light->count();
     Progress silent;
     return MapTracer(impl, *light).run(progress ? *progress : silent);
 }
@@ -148,21 +149,23 @@ std::vector<Surfel> reflectedEnvironment(
 }
 
 std::vector<Surfel> reflectedLight(
-    const Tracer& tracer, const RsmOptions& options, Progress* progress)
+    const Tracer& tracer, const RsmOptions& options, Progress* progress, std::uint64_t* rays)
 {
+    options.validate();
+    const Tracer::Impl& impl = tracer.impl();
     std::vector<Surfel> all;
-    const auto add
-        = [&](const std::vector<Surfel>& more) { all.insert(all.end(), more.begin(), more.end()); };
     RsmOptions own = options;
-    const auto& lights = tracer.scene().lights;
-    for (std::size_t i = 0; i < lights.size(); ++i) {
-        own.seed = hashCombine(mixBits(options.seed), i);
-        add(reflectedLight(tracer, lights[i], own, progress));
+    std::uint64_t number = 0;
+    const auto add = [&](const auto& makeRays) {
+        own.seed = hashCombine(mixBits(options.seed), number++);
+        const std::vector<Surfel> more = reflected(impl, makeRays(own), progress, rays);
+        all.insert(all.end(), more.begin(), more.end());
+    };
+    for (const Light& light : tracer.scene().lights) {
+        add([&](const RsmOptions& o) { return punctualRays(impl, light, o); });
     }
-    own.seed = hashCombine(mixBits(options.seed), lights.size());
-    add(reflectedEmission(tracer, own, progress));
-    own.seed = hashCombine(mixBits(options.seed), lights.size() + 1);
-    add(reflectedEnvironment(tracer, own, progress));
+    add([&](const RsmOptions& o) { return emissionRays(impl, o); });
+    add([&](const RsmOptions& o) { return environmentRays(impl, o); });
     return all;
 }
 

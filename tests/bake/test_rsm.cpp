@@ -14,14 +14,11 @@
 
 #include <cmath>
 #include <functional>
-#include <limits>
 
 using namespace lumivdb;
 using namespace lumivdb::test;
 
 namespace {
-
-constexpr double kInf = std::numeric_limits<double>::infinity();
 
 struct Totals {
     Vec3d flux{0, 0, 0};
@@ -502,76 +499,5 @@ TEST_CASE("hard cases of reflective shadow maps", "[rsm]")
         CHECK(errorOf(ErrorCode::Interrupted, [&] {
             reflectedLight(*tracer, sun, withResolution(64), &stopped);
         }) != "");
-        SurfaceOptions options;
-        CHECK(errorOf(ErrorCode::Interrupted, [&] { surfaceSurfels(*tracer, options, &stopped); })
-            != "");
     }
-}
-
-TEST_CASE("surfels over the surfaces have their area and albedo, evenly", "[rsm]")
-{
-    Scene scene = boxScene(Color(0.25f, 0.5f, 1));
-    const int both = addMaterial(scene, Color(0.5f), Color(0.0f), true);
-    addQuad(scene, both, {0.5, 1, 1}, {1, 0, 0}, {0, 0, 2});
-    const auto tracer = makeTracer(std::move(scene));
-    SurfaceOptions options;
-    options.spacing = 0.5;
-    options.perFace = 16;
-    const std::vector<Surfel> surfels = surfaceSurfels(*tracer, options);
-    const Totals t = totals(surfels);
-    CHECK(t.area == Approx(kBoxArea + 2).epsilon(1e-5));
-    // Both sides of the quad reflect: twice its area of albedo ½.
-    CHECK(t.flux.x == Approx(0.25 * kBoxArea + 2 * 0.5 * 2).epsilon(1e-3));
-    CHECK(surfels.size() == Approx((kBoxArea + 2 * 2) * 16 / 0.25).epsilon(1e-3));
-    // Every cell's worth of wall has its 16, a little more or less at its edges.
-    std::array<int, 4 * 6> floor{};
-    int other = 0;
-    for (const Surfel& s : surfels) {
-        if (s.normal != Vec3f(0, 1, 0) || s.position.y > 0.5) {
-            ++other;
-            continue;
-        }
-        const auto x = std::min(3u, static_cast<unsigned>(s.position.x * 2));
-        const auto z = std::min(5u, static_cast<unsigned>(s.position.z * 1.5));
-        ++floor[x + 4 * z];
-    }
-    REQUIRE(other > 0);
-    for (const int n : floor) CHECK(std::abs(n - 16 * 4 / 3.0) <= 8);
-}
-
-TEST_CASE("surfels over the surfaces keep to their region and masks", "[rsm]")
-{
-    Scene scene = floorScene(Color(1.0f));
-    scene.materials[0].alphaMask = true;
-    scene.textures.push_back(twoTexels({1, 1, 1, 1}, {1, 1, 1, 0}));
-    scene.materials[0].baseColorTexture.texture = 0;
-    const auto tracer = makeTracer(std::move(scene));
-    SurfaceOptions options;
-    options.spacing = 0.1;
-    CHECK(totals(surfaceSurfels(*tracer, options)).area == Approx(2).epsilon(0.01));
-    // A box that the floor's diagonal and the mask's edge cut: of [¾,1½] × [½,1¾] the mask leaves
-    // x below 1.
-    options.region = Box3d({0.75, -1, 0.5}, {1.5, 1, 1.75});
-    const std::vector<Surfel> inside = surfaceSurfels(*tracer, options);
-    CHECK(totals(inside).area == Approx(0.25 * 1.25).epsilon(0.02));
-    REQUIRE(inside.size() > 400);
-    for (const Surfel& s : inside) {
-        REQUIRE(s.position.x >= 0.75 - 1e-9);
-        REQUIRE(s.position.x <= 1 + 1e-6);
-        REQUIRE(s.position.z >= 0.5 - 1e-9);
-        REQUIRE(s.position.z <= 1.75 + 1e-9);
-    }
-    options.region = Box3d({0, 1, 0}, {2, 2, 2});
-    CHECK(surfaceSurfels(*tracer, options).empty());
-    options.region.reset();
-    options.spacing = 1e-4;
-    CHECK_THAT(errorOf(ErrorCode::Usage, [&] { surfaceSurfels(*tracer, options); }),
-        Catch::Contains("surfels"));
-    for (const double bad : {0.0, -1.0, kInf}) {
-        options.spacing = bad;
-        CHECK(errorOf(ErrorCode::Usage, [&] { surfaceSurfels(*tracer, options); }) != "");
-    }
-    options.spacing = 1;
-    options.perFace = 0;
-    CHECK(errorOf(ErrorCode::Usage, [&] { surfaceSurfels(*tracer, options); }) != "");
 }

@@ -61,9 +61,9 @@ std::vector<Surfel> reflectedEmission(
 std::vector<Surfel> reflectedEnvironment(
     const Tracer& tracer, const RsmOptions& options, Progress* progress = nullptr);
 /// All of it: the lights of the scene in their sequence, the emissive triangles, the environment,
-/// with a seed of its own for each.
-std::vector<Surfel> reflectedLight(
-    const Tracer& tracer, const RsmOptions& options, Progress* progress = nullptr);
+/// with a seed of its own for each. Adds the rays traced to @a rays, if given.
+std::vector<Surfel> reflectedLight(const Tracer& tracer, const RsmOptions& options,
+    Progress* progress = nullptr, std::uint64_t* rays = nullptr);
 
 /// At most @a count of @a surfels, drawn with chances in proportion to the luminance of their flux
 /// (systematically: a surfel that has k times its share comes back once, with the weight of k or
@@ -71,24 +71,5 @@ std::vector<Surfel> reflectedLight(
 /// luminance of the total stays exactly. All of them where they are no more than @a count.
 std::vector<Surfel> importantSurfels(
     const std::vector<Surfel>& surfels, std::size_t count, std::uint64_t seed);
-
-/// How surfaces are spread over with surfels.
-struct SurfaceOptions {
-    double spacing = 1; ///< of the cells that the surfels are for, world units
-    int perFace = 16; ///< surfels on an area of spacing², 1 … 4096
-    std::optional<Box3d> region; ///< world box; only what is inside comes back. Default: all
-    std::uint64_t seed = 1;
-    void validate() const;
-};
-
-/// The surfaces themselves, for what stands in light's way and for what reflects it again: points
-/// spread evenly over the triangles' area, systematically, each with its equal share of it as area.
-/// Masked texels leave out what they cut. `normal` is the front's; `flux` is what the surfel
-/// would send of unit irradiance, albedo · area. A double-sided surface comes as two surfels at
-/// the same places with opposite normals and half of the area each, so that areas sum to what is
-/// there; their fluxes are whole, because each side reflects what falls on it.
-/// @throws Error(Usage) where the spacing asks for more than 2^27 surfels.
-std::vector<Surfel> surfaceSurfels(
-    const Tracer& tracer, const SurfaceOptions& options, Progress* progress = nullptr);
 
 } // namespace lumivdb

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <lumivdb/bake/rsm.h>
+#include <lumivdb/bake/blockers.h>
 
 #include "directions.h"
 #include "tracer_impl.h"
@@ -18,7 +18,7 @@ namespace lumivdb {
 
 namespace {
 
-constexpr double kMostSurfels = 1 << 27;
+constexpr double kMost = 1 << 27;
 
 using Polygon = std::vector<Vec3d>;
 
@@ -44,7 +44,7 @@ struct Piece {
 
 class Spreader {
 public:
-    Spreader(const Tracer::Impl& impl, const SurfaceOptions& options)
+    Spreader(const Tracer::Impl& impl, const BlockerOptions& options)
         : mImpl(impl)
         , mOptions(options)
     {
@@ -55,14 +55,14 @@ public:
         for (std::uint32_t t = 0; t < impl.triangles.size(); ++t) addTriangle(t);
     }
 
-    std::vector<Surfel> run(Progress& progress)
+    std::vector<Blocker> run(Progress& progress)
     {
         const double area = mSums.empty() ? 0 : mSums.back();
         const double wanted
             = std::ceil(area * mOptions.perFace / (mOptions.spacing * mOptions.spacing));
-        if (wanted > kMostSurfels) {
+        if (wanted > kMost) {
             throw Error(ErrorCode::Usage,
-                "The scene's surfaces need more than 134 million surfels at this spacing; take a "
+                "The scene's surfaces need more than 134 million blockers at this spacing; take a "
                 "larger one or smaller bounds.");
         }
         if (!(wanted > 0)) return {};
@@ -95,7 +95,7 @@ private:
 
     void spread(std::size_t count, Progress& progress)
     {
-        progress.begin("spread surfels over the surfaces", count);
+        progress.begin("spread blockers over the surfaces", count);
         mBlocks.resize((count + kBlock - 1) / kBlock);
         const auto share = static_cast<float>(mSums.back() / static_cast<double>(count));
         std::atomic<bool> stop{false};
@@ -110,11 +110,11 @@ private:
             }
             progress.advance(last - b * kBlock);
         });
-        if (stop) throw Error(ErrorCode::Interrupted, "Surfels were interrupted half-way.");
+        if (stop) throw Error(ErrorCode::Interrupted, "The blockers were interrupted half-way.");
     }
 
-    /// The surfel at share @a t of all area.
-    void add(double t, float area, std::vector<Surfel>& to) const
+    /// The blocker at share @a t of all area.
+    void add(double t, float area, std::vector<Blocker>& to) const
     {
         const double x = t * mSums.back();
         const auto it = std::upper_bound(mSums.begin(), mSums.end() - 1, x);
@@ -130,15 +130,13 @@ private:
         float alpha = 1;
         const Color albedo = mImpl.albedoAt(triangle, uv.x, uv.y, &alpha);
         if (material.alphaMask && alpha < material.alphaCutoff) return;
-        Surfel s;
-        s.position = p + mImpl.origin;
-        s.normal = Vec3f(piece.ab.cross(piece.ac).normalized());
-        s.flux = albedo * area;
-        s.area = material.doubleSided ? 0.5f * area : area;
-        to.push_back(s);
-        if (!material.doubleSided) return;
-        s.normal = -s.normal;
-        to.push_back(s);
+        Blocker blocker;
+        blocker.position = p + mImpl.origin;
+        blocker.normal = Vec3f(piece.ab.cross(piece.ac).normalized());
+        blocker.area = area;
+        blocker.albedo = albedo;
+        if (material.doubleSided) blocker.albedoBehind = albedo;
+        to.push_back(blocker);
     }
 
     Vec2f barycentrics(const Tracer::Impl::Triangle& t, const Vec3d& p) const
@@ -152,40 +150,41 @@ private:
             static_cast<float>(ab.cross(ap).dot(n) / n2)};
     }
 
-    std::vector<Surfel> joined()
+    std::vector<Blocker> joined()
     {
-        std::vector<Surfel> all;
+        std::vector<Blocker> all;
         for (auto& b : mBlocks) {
             all.insert(all.end(), b.begin(), b.end());
-            std::vector<Surfel>().swap(b);
+            std::vector<Blocker>().swap(b);
         }
         return all;
     }
 
     const Tracer::Impl& mImpl;
-    SurfaceOptions mOptions;
+    BlockerOptions mOptions;
     std::vector<Piece> mPieces;
     std::vector<double> mSums; // of the pieces' areas
-    std::vector<std::vector<Surfel>> mBlocks;
+    std::vector<std::vector<Blocker>> mBlocks;
 };
 
 } // namespace
 
-void SurfaceOptions::validate() const
+void BlockerOptions::validate() const
 {
     if (!(spacing > 0) || !std::isfinite(spacing)) {
         throw Error(ErrorCode::Usage,
-            "spacing of the surfaces' surfels is " + std::to_string(spacing)
+            "spacing of the blockers is " + std::to_string(spacing)
                 + "; take a positive length in scene units.");
     }
     if (perFace < 1 || perFace > 4096) {
         throw Error(ErrorCode::Usage,
-            "perFace is " + std::to_string(perFace) + "; take 1 to 4096 surfels on a cell's face.");
+            "perFace is " + std::to_string(perFace)
+                + "; take 1 to 4096 blockers on a cell's face.");
     }
 }
 
-std::vector<Surfel> surfaceSurfels(
-    const Tracer& tracer, const SurfaceOptions& options, Progress* progress)
+std::vector<Blocker> surfaceBlockers(
+    const Tracer& tracer, const BlockerOptions& options, Progress* progress)
 {
     options.validate();
     Progress silent;
