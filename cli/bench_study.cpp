@@ -60,6 +60,17 @@ public:
         all.push_back(c);
     }
 
+    void propagated(double spacings, BenchMethod method)
+    {
+        BenchConfiguration c;
+        c.method = method;
+        c.spacing = mFinest * spacings;
+        c.bands = 2;
+        c.modes = {Interpolation::Trilinear};
+        c.expectedCost = 0.1 * samples(c.spacing);
+        all.push_back(c);
+    }
+
     std::vector<BenchConfiguration> all;
 
 private:
@@ -109,6 +120,15 @@ void buildFull(Builder& builder)
     builder.adaptive(3, 0.1, 3, G::Central, {Interpolation::Gradient});
 }
 
+void buildPropagated(Builder& builder, bool quick)
+{
+    for (const double spacings : {4, 2, 1}) {
+        if (quick && spacings != 2) continue;
+        for (const BenchMethod m : {BenchMethod::Lpv, BenchMethod::LpvMany, BenchMethod::LpvOpen})
+            builder.propagated(spacings, m);
+    }
+}
+
 bool isBeaten(double cost, double error, double otherCost, double otherError)
 {
     return otherCost <= cost && otherError <= error && (otherCost < cost || otherError < error);
@@ -129,13 +149,30 @@ const char* name(GradientMethod gradients)
     return "none";
 }
 
-std::vector<BenchConfiguration> benchConfigurations(const Box3d& bounds, double finest, bool quick)
+const char* representation(const BenchConfiguration& c)
+{
+    switch (c.method) {
+    case BenchMethod::Lpv:
+        return "lpv";
+    case BenchMethod::LpvMany:
+        return "lpv-many";
+    case BenchMethod::LpvOpen:
+        return "lpv-open";
+    case BenchMethod::Path:
+        break;
+    }
+    return c.levels == 0 ? "uniform" : "adaptive";
+}
+
+std::vector<BenchConfiguration> benchConfigurations(
+    const Box3d& bounds, double finest, bool quick, Contribution contribution)
 {
     Builder builder(bounds, finest);
     if (quick)
         buildQuick(builder);
     else
         buildFull(builder);
+    if (contribution != Contribution::Direct) buildPropagated(builder, quick);
     return std::move(builder.all);
 }
 
@@ -154,14 +191,15 @@ void markPareto(std::vector<BenchRow>& rows)
     }
 }
 
-BenchReference::BenchReference(
-    const Tracer& tracer, std::size_t points, int rays, std::uint64_t seed, Progress& progress)
+BenchReference::BenchReference(const Tracer& tracer, std::size_t points, int rays,
+    Contribution contribution, std::uint64_t seed, Progress& progress)
     : mBounds(tracer.scene().bounds())
     , mSeed(seed)
     , mNormals(uniformNormals(kNormals))
 {
     ProbeOptions options;
     options.rays = rays;
+    options.contribution = contribution;
     options.seed = seed;
     const ProbeEstimator estimator(tracer, options);
     for (std::size_t round = 0, begin = 0; round < kMaxRounds && mPoints.size() < points; ++round) {

@@ -5,14 +5,24 @@
 /// What `lumivdb bench` measures: which configurations, on which scene, against which reference.
 
 #include <lumivdb/bake/bake.h>
+#include <lumivdb/bake/lpv_bake.h>
 
 #include <string>
 #include <vector>
 
 namespace lumivdb::cli {
 
+/// How a volume is made.
+enum class BenchMethod {
+    Path, ///< paths traced from every sample
+    Lpv, ///< light propagation: geometry in the way, one reflection
+    LpvMany, ///< and many
+    LpvOpen ///< one reflection, nothing in the way
+};
+
 /// A bake, and the ways in which its volume is then queried.
 struct BenchConfiguration {
+    BenchMethod method = BenchMethod::Path;
     double spacing = 0;
     int levels = 0; ///< 0: uniform
     double threshold = 0; ///< of error-driven refinement, where there are levels
@@ -23,10 +33,13 @@ struct BenchConfiguration {
 };
 
 const char* name(GradientMethod gradients);
+/// "uniform", "adaptive", "lpv", "lpv-many" or "lpv-open".
+const char* representation(const BenchConfiguration& c);
 
 /// The configurations of a scene of this size; @a finest is the smallest spacing of all.
-/// @a quick leaves out all but the telling ones.
-std::vector<BenchConfiguration> benchConfigurations(const Box3d& bounds, double finest, bool quick);
+/// @a quick leaves out all but the telling ones; direct light alone, what propagates.
+std::vector<BenchConfiguration> benchConfigurations(
+    const Box3d& bounds, double finest, bool quick, Contribution contribution);
 
 /// One configuration and one interpolation.
 struct BenchRow {
@@ -49,8 +62,8 @@ void markPareto(std::vector<BenchRow>& rows);
 class BenchReference {
 public:
     /// @throws Error(Input) where the box has no free points, Error(Interrupted).
-    BenchReference(
-        const Tracer& tracer, std::size_t points, int rays, std::uint64_t seed, Progress& progress);
+    BenchReference(const Tracer& tracer, std::size_t points, int rays, Contribution contribution,
+        std::uint64_t seed, Progress& progress);
 
     /// Fills the row's query time, bytes and errors, as EvaluateReport defines them.
     void measure(const IrradianceVolume& volume, BenchRow& row) const;

@@ -53,6 +53,8 @@ private:
     std::shared_ptr<const Scene> load(const BenchScene& scene);
     void measureScene(const BenchScene& scene, std::vector<BenchRow>& rows);
     BakeOptions bakeOptions(const BenchConfiguration& c) const;
+    /// As the row's configuration says; fills in the rays it took.
+    IrradianceVolume makeVolume(const Tracer& tracer, BenchRow& row, Progress& progress) const;
     void printTable(const std::vector<BenchRow>& rows) const;
     Json report(const std::vector<BenchRow>& rows) const;
     void drawPlot(const std::vector<BenchRow>& rows) const;
@@ -62,6 +64,7 @@ private:
     std::string mEnvironment, mSamples, mPlot;
     std::optional<double> mSpacing;
     bool mQuick = false;
+    Contribution mContribution = Contribution::All;
     int mRays = 1024, mReferenceRays = 4096;
     std::size_t mPoints = 500;
     std::uint64_t mSeed = 7001;
@@ -71,8 +74,9 @@ void BenchCommand::declare(Arguments& arguments)
 {
     arguments.describe(
         "Bakes each scene with uniform and adaptive cells, different spacings, bands, gradients "
-        "and "
-        "thresholds, queries the volumes with every interpolation, and compares them with an "
+        "and thresholds, and by light propagation (lpv; lpv-many: with many reflections; lpv-open: "
+        "without occlusion), queries the volumes with every interpolation, and compares them with "
+        "an "
         "independent trace at random points. bake_seconds and query_ns are this machine's; bytes "
         "are "
         "those of what answers queries, in memory; rel_rmse and p99 are those of 'lumivdb "
@@ -97,6 +101,11 @@ void BenchCommand::declare(Arguments& arguments)
     arguments.size("--points", mPoints, between(1, 1e7), "random points of free space");
     arguments.integer("--reference-rays", mReferenceRays, between(2, 67108864),
         "directions per point of the reference");
+    arguments.choice<Contribution>("--contribution", mContribution,
+        {{"all", Contribution::All}, {"direct", Contribution::Direct},
+            {"indirect", Contribution::Indirect}},
+        "which light volumes and reference have; light propagation adds traced direct light for "
+        "all, and is left out for direct");
     arguments.seed("--seed", mSeed, "random numbers of points and reference");
     arguments.section("General");
     arguments.text("--plot", "FILE", mPlot,
@@ -175,10 +184,31 @@ BakeOptions BenchCommand::bakeOptions(const BenchConfiguration& c) const
     options.bands = c.bands;
     options.gradients = c.gradients;
     options.probe.rays = mRays;
+    options.probe.contribution = mContribution;
     options.levels = c.levels;
     if (c.threshold > 0) options.refine.error = c.threshold;
     options.threads = mCommon.threads;
     return options;
+}
+
+IrradianceVolume BenchCommand::makeVolume(
+    const Tracer& tracer, BenchRow& row, Progress& progress) const
+{
+    const BenchConfiguration& c = row.configuration;
+    if (c.method == BenchMethod::Path) {
+        BakeResult baked = bakeVolume(tracer, bakeOptions(c), &progress);
+        row.rays = baked.report.rays;
+        return std::move(baked.volume);
+    }
+    LpvBakeOptions options;
+    options.lpv.spacing = c.spacing;
+    options.lpv.threads = mCommon.threads;
+    if (c.method == BenchMethod::LpvMany) options.lpv.bounces = LpvBounces::Many;
+    if (c.method == BenchMethod::LpvOpen) options.lpv.occlusion = LpvOcclusion::Off;
+    options.contribution = mContribution;
+    LpvBakeResult propagated = bakeLpv(tracer, options, &progress);
+    row.rays = propagated.report.rays;
+    return std::move(propagated.volume);
 }
 
 void BenchCommand::measureScene(const BenchScene& from, std::vector<BenchRow>& rows)
@@ -186,7 +216,7 @@ void BenchCommand::measureScene(const BenchScene& from, std::vector<BenchRow>& r
     const auto scene = load(from);
     const Tracer tracer(scene);
     const double finest = mSpacing.value_or(defaultSpacing(scene->bounds()));
-    const auto configurations = benchConfigurations(scene->bounds(), finest, mQuick);
+    const auto configurations = benchConfigurations(scene->bounds(), finest, mQuick, mContribution);
     // The reference's rays carry no expansion: a quarter more work each, as measured.
     const double reference = 1.25 * static_cast<double>(mPoints) * mReferenceRays / mRays;
     double total = reference;
@@ -196,7 +226,7 @@ void BenchCommand::measureScene(const BenchScene& from, std::vector<BenchRow>& r
     const std::string stage = "bench " + from.label();
     bar.begin(stage.c_str(), static_cast<std::uint64_t>(total));
     Inner inner;
-    const BenchReference truth(tracer, mPoints, mReferenceRays, mSeed, inner);
+    const BenchReference truth(tracer, mPoints, mReferenceRays, mContribution, mSeed, inner);
     bar.advance(static_cast<std::uint64_t>(reference));
     for (const BenchConfiguration& c : configurations) {
         throwIfInterrupted();
@@ -204,24 +234,18 @@ void BenchCommand::measureScene(const BenchScene& from, std::vector<BenchRow>& r
         row.scene = from.label();
         row.configuration = c;
         const Stopwatch watch;
-        const BakeResult baked = bakeVolume(tracer, bakeOptions(c), &inner);
+        const IrradianceVolume volume = makeVolume(tracer, row, inner);
         row.bakeSeconds = watch.seconds();
-        row.rays = baked.report.rays;
-        row.samples = baked.report.samples;
+        row.samples = volume.sampleCount();
         for (const Interpolation mode : c.modes) {
             BenchRow measured = row;
             measured.mode = mode;
-            truth.measure(baked.volume, measured);
+            truth.measure(volume, measured);
             rows.push_back(std::move(measured));
         }
         bar.advance(static_cast<std::uint64_t>(c.expectedCost));
     }
     bar.advance(static_cast<std::uint64_t>(total)); // what rounding left
-}
-
-std::string representation(const BenchConfiguration& c)
-{
-    return c.levels == 0 ? "uniform" : "adaptive";
 }
 
 /// Columns as wide as their widest entry; the first @a left of them start at the left.
@@ -271,6 +295,7 @@ Json BenchCommand::report(const std::vector<BenchRow>& rows) const
     json["rays_per_sample"] = mRays;
     json["points"] = mPoints;
     json["reference_rays"] = mReferenceRays;
+    json["contribution"] = name(mContribution);
     json["threads"] = mCommon.threads;
     json["rows"] = Json::array();
     for (const BenchRow& r : rows) {
@@ -284,7 +309,7 @@ Json BenchCommand::report(const std::vector<BenchRow>& rows) const
         row["bands"] = c.bands;
         row["gradients"] = name(c.gradients);
         row["interpolation"] = name(r.mode);
-        row["integrator"] = "path";
+        row["integrator"] = c.method == BenchMethod::Path ? "path" : "lpv";
         row["bake_seconds"] = r.bakeSeconds;
         row["rays"] = r.rays;
         row["samples"] = r.samples;
@@ -322,13 +347,15 @@ std::string plotData(
 
 struct PlotSeries {
     const char* title;
-    bool adaptive, gradients;
+    const char* representation; ///< what that of its rows begins with
+    bool gradients;
     const char* style;
 };
-constexpr PlotSeries kSeries[] = {{"uniform", false, false, "pt 4 lc rgb '#1f77b4'"},
-    {"uniform, gradients", false, true, "pt 5 lc rgb '#1f77b4'"},
-    {"adaptive", true, false, "pt 6 lc rgb '#d62728'"},
-    {"adaptive, gradients", true, true, "pt 7 lc rgb '#d62728'"}};
+constexpr PlotSeries kSeries[] = {{"uniform", "uniform", false, "pt 4 lc rgb '#1f77b4'"},
+    {"uniform, gradients", "uniform", true, "pt 5 lc rgb '#1f77b4'"},
+    {"adaptive", "adaptive", false, "pt 6 lc rgb '#d62728'"},
+    {"adaptive, gradients", "adaptive", true, "pt 7 lc rgb '#d62728'"},
+    {"light propagation", "lpv", false, "pt 8 lc rgb '#2ca02c'"}};
 
 /// A logarithmic axis round @a values, with as many round numbers as fit.
 std::string axisOf(const char* axis, const std::vector<double>& values)
@@ -367,7 +394,8 @@ std::string panel(const std::vector<BenchRow>& rows, const std::string& scene, b
         "with steps lw 1.5 lc rgb '#888888' title 'best of all'");
     for (const PlotSeries& s : kSeries) {
         const auto keep = [&](const BenchRow& r) {
-            return (r.configuration.levels > 0) == s.adaptive
+            const std::string kind = representation(r.configuration);
+            return kind.rfind(s.representation, 0) == 0
                 && (r.configuration.gradients != GradientMethod::None) == s.gradients;
         };
         add(plotData(rows, scene, keep, cost),

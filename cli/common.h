@@ -114,6 +114,7 @@ std::unique_ptr<Command> makeStatsCommand();
 std::unique_ptr<Command> makeEvaluateCommand();
 std::unique_ptr<Command> makeProjectCommand();
 std::unique_ptr<Command> makeResampleCommand();
+std::unique_ptr<Command> makeLpvCommand();
 std::unique_ptr<Command> makeRenderCommand();
 std::unique_ptr<Command> makeBenchCommand();
 

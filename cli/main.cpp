@@ -26,6 +26,7 @@ constexpr CommandEntry kCommands[] = {
         makeProjectCommand},
     {"resample", "Makes volumes from volumes: spacing, bands, crop, axes, sums, joins.",
         makeResampleCommand},
+    {"lpv", "Previews a scene's indirect light by light propagation.", makeLpvCommand},
     {"render", "Writes a picture of a scene lit by a volume, or a slice of the volume.",
         makeRenderCommand},
     {"bench", "Measures speed against error over scenes and settings.", makeBenchCommand},

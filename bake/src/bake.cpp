@@ -7,11 +7,6 @@
 #include <lumivdb/bake/visibility.h>
 #include <lumivdb/core/error.h>
 
-#include <tbb/blocked_range.h>
-#include <tbb/enumerable_thread_specific.h>
-#include <tbb/parallel_for.h>
-
-#include <atomic>
 #include <chrono>
 #include <cmath>
 
@@ -30,24 +25,10 @@ public:
 
     void run(Progress& progress)
     {
-        const std::size_t count = mVolume.sampleCount();
-        progress.begin("trace samples", count);
-        tbb::enumerable_thread_specific<ProbeEstimator::Workspace> workspaces;
-        mNotes.resize(count);
-        std::atomic<bool> stop{false};
-        tbb::parallel_for(tbb::blocked_range<SampleId>(0, static_cast<SampleId>(count), 1),
-            [&](const tbb::blocked_range<SampleId>& range) {
-                for (SampleId s = range.begin(); s != range.end(); ++s) {
-                    if (stop || progress.cancelled()) {
-                        stop = true;
-                        return;
-                    }
-                    store(s, mBaker.bake(mVolume.samplePosition(s), workspaces.local()));
-                    progress.advance(1);
-                }
-            });
-        if (stop)
-            throw Error(ErrorCode::Interrupted, "The bake was interrupted; nothing was written.");
+        mNotes.resize(mVolume.sampleCount());
+        std::vector<Vec3f> offsets = bakeSamples(
+            mBaker, mVolume, [this](SampleId s, const BakedSample& r) { store(s, r); }, progress);
+        if (!offsets.empty()) mVolume.setOffsets(std::move(offsets));
         finish();
     }
 
@@ -57,7 +38,6 @@ public:
 private:
     struct Note {
         std::uint64_t rays;
-        Vec3f offset;
         float mean, error; // of E averaged over normals, luminance
     };
 
@@ -69,24 +49,18 @@ private:
             std::copy(r.gradient.begin(), r.gradient.end(), mVolume.gradient(s));
         mVolume.validity(s) = r.validity;
         mVolume.distance(s) = r.distance;
-        mNotes[s] = {sample.rays, sample.offset, luminance(r.value[0]), luminance(r.stderr_[0])};
+        mNotes[s] = {sample.rays, luminance(r.value[0]), luminance(r.stderr_[0])};
     }
 
     void finish()
     {
         double mean = 0, error = 0;
-        bool moved = false;
         for (const Note& n : mNotes) {
             rays += n.rays;
             mean += n.mean;
             error += n.error;
-            moved = moved || n.offset != Vec3f(0.0f);
         }
         meanRelativeStderr = mean > 0 ? error / mean : 0;
-        if (!moved) return;
-        std::vector<Vec3f> offsets;
-        for (const Note& n : mNotes) offsets.push_back(n.offset);
-        mVolume.setOffsets(std::move(offsets));
     }
 
     IrradianceVolume& mVolume;

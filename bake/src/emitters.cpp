@@ -69,6 +69,13 @@ double EmitterTable::pdfEnvironment(const Vec3f& direction) const
         : 0.0;
 }
 
+double rangeWindow(double distance, double range)
+{
+    if (!(range > 0)) return 1;
+    const double r = distance / range;
+    return std::clamp(1 - r * r * r * r, 0.0, 1.0);
+}
+
 PunctualSample samplePunctual(const Light& light, const Vec3f& localPosition, const Vec3f& to)
 {
     PunctualSample s;
@@ -82,12 +89,7 @@ PunctualSample samplePunctual(const Light& light, const Vec3f& localPosition, co
     const double distance2 = d.length2();
     if (!(distance2 > 0)) return s; // exactly on the light there is no direction
     const double distance = std::sqrt(distance2);
-    double factor = 1 / distance2;
-    if (light.range > 0) {
-        // glTF's recommended window; 0 from `range` on.
-        const double r = distance / light.range;
-        factor *= std::clamp(1 - r * r * r * r, 0.0, 1.0);
-    }
+    double factor = rangeWindow(distance, light.range) / distance2;
     if (light.type == LightType::Spot) {
         // KHR_lights_punctual, "Inner and Outer Cone Angles".
         const double cosOuter = std::cos(light.outerConeAngle);

@@ -41,6 +41,7 @@ public:
 
     bool empty() const { return mCdf.empty(); }
     std::size_t triangleCount() const { return mTriangles.size(); }
+    const std::vector<Triangle>& triangles() const { return mTriangles; }
 
     /// Draws from t ∈ [0,1): first the emitter, then, with what t has left, a point on it along a
     /// Hilbert curve. Stratified t give stratified emitters and stratified points of each.
@@ -69,6 +70,9 @@ private:
     double mEnvironmentProbability = 0;
     std::vector<double> mCdf; // triangles in order, then the environment; ends at 1
 };
+
+/// glTF's recommended window: 1 on the light, 0 from @a range on; 1 everywhere where that is 0.
+double rangeWindow(double distance, double range);
 
 /// Light of a punctual light at @a to, unshadowed. Irradiance on a surface that faces it.
 struct PunctualSample {

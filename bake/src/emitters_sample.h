@@ -7,6 +7,21 @@
 
 namespace lumivdb {
 
+/// Barycentrics of b and c, uniform over the triangle and with little distortion (Heitz, "A
+/// Low-Distortion Map Between Triangle and Square", 2019).
+inline Vec2f squareToTriangle(const Vec2d& square)
+{
+    auto u = static_cast<float>(square.x), v = static_cast<float>(square.y);
+    if (v > u) {
+        u *= 0.5f;
+        v -= u;
+    } else {
+        v *= 0.5f;
+        u -= v;
+    }
+    return {u, v};
+}
+
 template <class Emission>
 EmitterSample EmitterTable::sampleStratum(
     const Vec3f& from, double t, const Emission& emission) const
@@ -29,16 +44,8 @@ EmitterSample EmitterTable::samplePoint(std::size_t chosen, const Vec3f& from, d
 {
     if (chosen == mTriangles.size()) return sampleEnvironment(squareU, squareV);
 
-    // Uniform over the triangle, with little distortion (Heitz, "A Low-Distortion Map Between
-    // Triangle and Square", 2019).
-    auto u = static_cast<float>(squareU), v = static_cast<float>(squareV);
-    if (v > u) {
-        u *= 0.5f;
-        v -= u;
-    } else {
-        v *= 0.5f;
-        u -= v;
-    }
+    const Vec2f place = squareToTriangle({squareU, squareV});
+    const float u = place.x, v = place.y;
     const Triangle& e = mTriangles[chosen];
     EmitterSample s;
     Vec3f point = e.a + e.ab * u + e.ac * v;

@@ -4,10 +4,16 @@
 #include <lumivdb/bake/bake.h>
 #include <lumivdb/bake/visibility.h>
 
+#include <lumivdb/core/error.h>
 #include <lumivdb/core/random.h>
+
+#include <tbb/blocked_range.h>
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/parallel_for.h>
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cmath>
 
 namespace lumivdb {
@@ -92,6 +98,33 @@ void SampleBaker::addGradient(const Vec3d& p, std::uint64_t key,
             mTracer, mEstimator, p, mSettings.bands, mSettings.spacing, key, workspace, r);
     }
     limitGradient(mSettings.gradientReach, r);
+}
+
+std::vector<Vec3f> bakeSamples(const SampleBaker& baker, const IrradianceVolume& volume,
+    const std::function<void(SampleId, const BakedSample&)>& store, Progress& progress)
+{
+    const std::size_t count = volume.sampleCount();
+    progress.begin("trace samples", count);
+    tbb::enumerable_thread_specific<ProbeEstimator::Workspace> workspaces;
+    std::vector<Vec3f> offsets(count);
+    std::atomic<bool> stop{false};
+    tbb::parallel_for(tbb::blocked_range<SampleId>(0, static_cast<SampleId>(count), 1),
+        [&](const tbb::blocked_range<SampleId>& range) {
+            for (SampleId s = range.begin(); s != range.end(); ++s) {
+                if (stop || progress.cancelled()) {
+                    stop = true;
+                    return;
+                }
+                const BakedSample sample = baker.bake(volume.samplePosition(s), workspaces.local());
+                offsets[s] = sample.offset;
+                store(s, sample);
+                progress.advance(1);
+            }
+        });
+    if (stop) throw Error(ErrorCode::Interrupted, "The bake was interrupted; nothing was written.");
+    const bool moved = std::any_of(
+        offsets.begin(), offsets.end(), [](const Vec3f& o) { return o != Vec3f(0.0f); });
+    return moved ? offsets : std::vector<Vec3f>();
 }
 
 } // namespace lumivdb

@@ -5,6 +5,9 @@
 /// One sample of a volume: a lattice point in, its record out.
 
 #include <lumivdb/bake/probe.h>
+#include <lumivdb/core/volume.h>
+
+#include <functional>
 
 namespace lumivdb {
 
@@ -41,6 +44,12 @@ private:
     double mClearance; // distance kept from surfaces, world units
     ProbeEstimator mEstimator;
 };
+
+/// Bakes every sample of @a volume's topology and hands each to @a store, which any thread calls,
+/// once a sample. @return where samples were moved to, empty if none was.
+/// @throws Error(Interrupted).
+std::vector<Vec3f> bakeSamples(const SampleBaker& baker, const IrradianceVolume& volume,
+    const std::function<void(SampleId, const BakedSample&)>& store, Progress& progress);
 
 /// Σ A_l² |d_lm|² / 4π per channel: the mean over normals of the squared irradiance of @a d.
 Vec3d irradianceNorm2(int bands, const Color* d);

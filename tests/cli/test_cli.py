@@ -27,6 +27,10 @@ FLAGS = {
     "project": "--bands --irradiance --shader",
     "resample": "-o --spacing --uniform --levels --tolerance --bands --gradients --crop --up "
                 "--transform --half --scale --add",
+    "lpv": "-o --spacing --cascades --cells --center --bounds --iterations --tolerance --scheme "
+           "--no-occlusion --bounces --rsm --surfels --contribution --rays --visibility --env "
+           "--env-scale --env-rotate --light-group --up --half --codec --seed --threads --json "
+           "--quiet",
     "render": "--volume -o",
 }
 

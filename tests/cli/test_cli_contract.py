@@ -14,7 +14,8 @@ from harness import PROGRAM, SAMPLES, CliCase, run
 
 FURNACE = SAMPLES / "furnace.glb"
 ROOMS = SAMPLES / "two_rooms_door.glb"
-COMMANDS = ("bake", "probe", "query", "stats", "evaluate", "project", "resample", "render", "bench")
+COMMANDS = ("bake", "probe", "query", "stats", "evaluate", "project", "resample", "lpv", "render",
+            "bench")
 
 
 def shell(script, **options):
