@@ -108,8 +108,7 @@ def series(bench, setup, variant, options, points, most):
         if variant.startswith("uniform"):
             how = ["--spacing", coarsest / 2 ** (step / 2)]
         else:
-            how = ["--levels", 8, "--refine-threshold", f"error={2 ** -step}",
-                   "--max-samples", 4 * most]
+            how = ["--levels", 8, "--refine-threshold", f"error={2 ** -step}"]
         gradients = "analytic" if "gradients" in variant else "none"
         volume, row = bench.bake(scene, light, bounds, *how, "--gradients", gradients, *options)
         if rows and row["samples"] == rows[-1]["samples"]:

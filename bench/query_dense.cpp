@@ -81,7 +81,8 @@ HWY_INLINE void prepare(const DenseArray::Impl& d, const Vec3d& p, Query& q)
             = (i & 1 ? t[0] : 1 - t[0]) * (i & 2 ? t[1] : 1 - t[1]) * (i & 4 ? t[2] : 1 - t[2]);
         if (d.blocks == 1) continue;
         for (int a = 0; a < 3; ++a)
-            q.weight[8 * (a + 1) + i] = q.weight[i] * (t[a] - static_cast<float>(i >> a & 1));
+            q.weight[8 * (a + 1) + i]
+                = q.weight[i] * 0.5f * (t[a] - static_cast<float>(i >> a & 1));
     }
 }
 

@@ -47,7 +47,7 @@ struct NaiveGrids::Impl {
                 for (int a = 0; a < 3; ++a) w *= at[a] != 0 ? t[a] : 1 - t[a];
                 const openvdb::Coord ijk = base.offsetBy(corner & 1, corner >> 1 & 1, corner >> 2);
                 Vec3d d;
-                indexToWorld.multDirMatrix(t - at, d);
+                indexToWorld.multDirMatrix((t - at) * 0.5, d); // Interpolation::Gradient
                 openvdb::Vec3s v = accessors[static_cast<std::size_t>(i)].getValue(ijk);
                 for (int a = 0; a < 3; ++a) {
                     v += accessors[static_cast<std::size_t>((a + 1) * coefficients + i)].getValue(

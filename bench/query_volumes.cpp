@@ -142,7 +142,7 @@ struct Reference {
                 if (gradients)
                     for (std::size_t k = 0; k < 27; ++k)
                         e.value[k] += e.value[27 * (static_cast<std::size_t>(a) + 1) + k]
-                            * (1 - end) * 0.5 * size;
+                            * (1 - end) * 0.25 * size; // half of half a cell
                 mean.weight += e.weight;
                 mean.value.resize(e.value.size());
                 for (std::size_t k = 0; k < e.value.size(); ++k) mean.value[k] += e.value[k];
@@ -154,6 +154,18 @@ struct Reference {
         return mean;
     }
 };
+
+/// Whether finer cells have a sample in the middle of an edge or a face.
+bool touchesFiner(const IrradianceVolume& volume, const Cell& cell)
+{
+    for (int i = 0; i < 27 && cell.level > 0; ++i) {
+        const Coord at(i % 3, i / 3 % 3, i / 9);
+        const int middles = (at.x == 1) + (at.y == 1) + (at.z == 1);
+        if (middles != 1 && middles != 2) continue;
+        if (volume.findSample(cell.origin + at * (1 << (cell.level - 1))) >= 0) return true;
+    }
+    return false;
+}
 
 } // namespace
 
@@ -204,25 +216,38 @@ Vec3d referenceIrradiance(
         const unsigned seen = v->corners(Vec3f(t));
         if (seen & valid) reference.mask = seen;
     }
-    // Every cell is taken in eight parts: where it need not be, they are the whole.
-    Coord lower;
-    for (int a = 0; a < 3; ++a) {
+    // Cells that touch finer ones are taken in eight parts.
+    const bool split = valid != 0 && touchesFiner(volume, cell);
+    Coord lower(0, 0, 0);
+    for (int a = 0; a < 3 && split; ++a) {
         lower[a] = t[a] >= 0.5;
         t[a] = 2 * t[a] - lower[a];
     }
-    double weight = 0;
+    double weight[8], seen = 0;
+    Vec3d way[8], mean(0.0); // from the corners, in lattice steps; of those that are seen
+    for (int i = 0; i < 8; ++i) {
+        weight[i] = 1;
+        for (int a = 0; a < 3; ++a) {
+            const int corner = i >> a & 1;
+            weight[i] *= corner ? t[a] : 1 - t[a];
+            way[i][a] = (t[a] - corner) * size / (split ? 2 : 1);
+        }
+        if (!(reference.mask >> i & 1)) continue;
+        mean += way[i] * weight[i];
+        seen += weight[i];
+    }
+    mean = reference.mask == 0xff || !(seen > 0) ? Vec3d(0.0) : mean / seen;
+    double total = 0;
     std::vector<double> sum(27, 0.0);
     for (int i = 0; i < 8; ++i) {
         const Coord corner(i & 1, i >> 1 & 1, i >> 2);
-        double w = 1;
-        for (int a = 0; a < 3; ++a) w *= corner[a] ? t[a] : 1 - t[a];
-        const Expansion e = reference.node(lower + corner);
-        weight += w * e.weight;
+        const Expansion e = reference.node(split ? lower + corner : corner * 2);
+        total += weight[i] * e.weight;
+        const Vec3d half = (way[i] + mean) * 0.5; // Interpolation::Gradient
         for (std::size_t k = 0; k < 27; ++k) {
-            sum[k] += w * e.value[k];
+            sum[k] += weight[i] * e.value[k];
             for (std::size_t a = 0; a < 3 && gradients; ++a)
-                sum[k] += w * e.value[27 * (a + 1) + k]
-                    * (t[static_cast<int>(a)] - corner[static_cast<int>(a)]) * 0.5 * size;
+                sum[k] += weight[i] * e.value[27 * (a + 1) + k] * half[static_cast<int>(a)];
         }
     }
     double y[9];
@@ -231,7 +256,7 @@ Vec3d referenceIrradiance(
     for (int i = 0; i < 9; ++i)
         for (int c = 0; c < 3; ++c)
             E[c] += kCosineLobe[static_cast<std::size_t>(degreeOf(i))] * y[i]
-                * sum[static_cast<std::size_t>(3 * i + c)] / weight;
+                * sum[static_cast<std::size_t>(3 * i + c)] / total;
     return E;
 }
 

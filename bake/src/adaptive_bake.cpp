@@ -300,8 +300,7 @@ AchievedError AdaptiveBake::verify(const IrradianceVolume& volume, std::size_t c
     evaluate.mode = VolumeSampler::bestMode(volume);
     evaluate.contribution = mOptions.probe.contribution;
     evaluate.maxBounces = mOptions.probe.maxBounces;
-    const double wanted
-        = std::pow(mPlan.noisePerRay / (kReferenceShare * mOptions.target.error), 2);
+    const double wanted = std::pow(mPlan.noisePerRay / (kReferenceShare * mPlan.goal), 2);
     const double most = std::clamp(8.0 * mPlan.samples.probe.rays, 1024.0, kMaxReferenceRays);
     evaluate.rays = static_cast<int>(std::clamp(wanted, 256.0, most));
     evaluate.seed = hashCombine(
@@ -345,7 +344,7 @@ double AdaptiveBake::nextThreshold(double threshold) const
     const double noise
         = mPlan.noisePerRay / std::sqrt(static_cast<double>(mPlan.samples.probe.rays));
     const double fixed2 = std::pow(mPlan.truncation, 2) + 0.3 * noise * noise;
-    const double target2 = std::pow(mOptions.target.error, 2);
+    const double target2 = std::pow(mPlan.goal, 2);
     const double now = std::sqrt(std::max(1e-12, a.upper * a.upper - fixed2));
     const double wanted = std::sqrt(std::max(0.05 * target2, target2 - fixed2));
     return threshold * std::clamp(std::pow(wanted / now, 1.2), 0.25, 0.8);
@@ -380,7 +379,7 @@ void AdaptiveBake::spendWhatIsLeft(double& threshold)
 
 IrradianceVolume AdaptiveBake::runToTarget()
 {
-    double threshold = 2 * mOptions.target.error;
+    double threshold = 2 * mPlan.goal;
     std::size_t points = kVerifyPoints;
     for (int round = 0;; ++round) {
         {

@@ -161,6 +161,7 @@ private:
         mReport.rays += pilot.rays;
         if (mOptions.bands == 0) chooseBands(pilot);
         mPlan.truncation = pilot.truncation[static_cast<std::size_t>(mPlan.samples.bands)];
+        mPlan.goal = std::max(mOptions.target.error, mPlan.truncation);
         if (hasTarget() && mOptions.target.chooseRays) chooseRays(pilot);
         if (hasTarget() && mOptions.target.chooseGradients) {
             mPlan.samples.gradients = GradientMethod::Analytic;
@@ -193,13 +194,15 @@ private:
 
     void chooseRays(const Pilot& pilot)
     {
-        const double wanted
-            = std::pow(pilot.noisePerRay / (kNoiseShare * mOptions.target.error), 2);
+        const double wanted = std::pow(pilot.noisePerRay / (kNoiseShare * mPlan.goal), 2);
         int rays = 64;
         while (rays < wanted && rays < (1 << 20)) rays *= 2;
         mPlan.samples.probe.rays = rays;
         decide("rays " + std::to_string(rays) + " per sample: standard error "
-            + percentText(pilot.noisePerRay / std::sqrt(rays)) + " of the mean irradiance");
+            + percentText(pilot.noisePerRay / std::sqrt(rays)) + " of the mean irradiance"
+            + (mPlan.goal > mOptions.target.error
+                    ? "; with what the bands leave out the target is out of reach, so no more"
+                    : ""));
     }
 
     const Tracer& mTracer;

@@ -17,6 +17,9 @@ struct BakePlan {
     /// From the pilot; zero where there was no need of one.
     Vec3d meanE{0, 0, 0};
     double noisePerRay = 0, truncation = 0;
+    /// The target error, or what the bands leave out where that is more: then the target is out of
+    /// reach, and less noise or interpolation error would be work for nothing.
+    double goal = 0;
 };
 
 /// Fills in what @a options leave open and says why in @a report.

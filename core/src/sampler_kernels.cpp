@@ -375,12 +375,15 @@ HWY_INLINE void enterOne(const SamplerForm& f, Query& q)
 template <int Groups, bool Half, Interpolation Mode>
 void irradianceOne(const SamplerForm& f, const Vec3d& p, const Vec3f& n, Color* E, QueryInfo* info)
 {
+    constexpr std::size_t kBlockBytes = Groups * 8 * (Half ? 2 : 4);
     Query q;
     Basis basis;
-    // First, since its numbers are written one by one and read eight at a time: that takes a while.
-    setBasis(f.bands, f.layout.pad, n, basis);
     locate(f, 1, &p, &n, &q);
     enterOne(f, q);
+    // All records are asked for at once; until they are there the basis is made, whose numbers are
+    // written one by one and read eight at a time, which takes a while.
+    if (q.level >= 0) prefetchNodes(q, kBlockBytes * static_cast<std::size_t>(q.blocks));
+    setBasis(f.bands, f.layout.pad, n, basis);
     finishIrradiance<Groups, Half, Mode>(f, q, basis, E, info);
 }
 
