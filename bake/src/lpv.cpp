@@ -94,10 +94,11 @@ struct LightPropagationVolume::Impl {
         field.setGeometry(counts ? &geometry : nullptr);
     }
 
-    void step()
+    /// In the caller's arena, or in one of as many threads as the options say.
+    template <class Work> void onThreads(const Work& work) const
     {
-        if (options.threads == 0) return field.step();
-        withThreads(options.threads, [this] { field.step(); });
+        if (options.threads == 0) return work();
+        withThreads(options.threads, work);
     }
 
     /// Cell nearest to lattice place @a p, or none.
@@ -229,7 +230,10 @@ bool LightPropagationVolume::injectSource(const Vec3d& position, const Color (&i
     return true;
 }
 
-void LightPropagationVolume::step() { mImpl->step(); }
+void LightPropagationVolume::step()
+{
+    mImpl->onThreads([this] { mImpl->field.step(); });
+}
 
 LpvReport LightPropagationVolume::propagate(const LpvStop& stop, Progress* progress)
 {
@@ -240,12 +244,15 @@ LpvReport LightPropagationVolume::propagate(const LpvStop& stop, Progress* progr
     const auto finished = [&] {
         return mImpl->field.dark() || (stop.tolerance > 0 && mImpl->residual() < stop.tolerance);
     };
-    for (; report.iterations < stop.iterations && !finished(); ++report.iterations) {
-        if (progress && progress->cancelled())
-            throw Error(ErrorCode::Interrupted, "Interrupted while propagating light.");
-        mImpl->step();
-        if (progress) progress->advance(1);
-    }
+    const auto loop = [&] {
+        for (; report.iterations < stop.iterations && !finished(); ++report.iterations) {
+            if (progress && progress->cancelled())
+                throw Error(ErrorCode::Interrupted, "Interrupted while propagating light.");
+            mImpl->field.step();
+            if (progress) progress->advance(1);
+        }
+    };
+    mImpl->onThreads(loop);
     report.residual = mImpl->residual();
     report.activeCells = activeCells();
     return report;
