@@ -102,7 +102,7 @@ void LpvGeometry::clear()
 Vec3f LpvGeometry::blocking(const Coord& p) const
 {
     const int i = mIndex.find(leafOf(p));
-    if (i < 0) return {};
+    if (i < 0) return Vec3f(0.0f);
     return mLeaves[static_cast<std::size_t>(i)]
         .cells[static_cast<std::size_t>(numberOf(p))]
         .covered;

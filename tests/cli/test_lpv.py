@@ -59,7 +59,7 @@ class Lpv(CliCase):
 
     def test_stats(self):
         stats = self.json("stats", self.volume)
-        self.assertEqual((stats["bands"], stats["gradients"]), (2, "none"))
+        self.assertEqual((stats["bands"], stats["gradients"]), (2, False))
         self.assertEqual(stats["contribution"], "indirect")
         self.assertEqual(stats["samples"], self.report["samples"])
         self.assertIn("lumivdb lpv", stats["options"])
@@ -132,12 +132,12 @@ class Lpv(CliCase):
         path = self.folder / "cascades.vdb"
         report = self.json("lpv", SAMPLES / "courtyard.glb", "--sun-direction", "1,2,0.5",
                            "--sun-lux", "80", "--cascades", "3", "--cells", "24", "--center",
-                           "0,2,0", "--spacing", "0.5", "--rsm", "64", "--rays", "8", "-o", path,
+                           "0,2,0", "--spacing", "0.5", "--rsm", "64", "--rays", "0", "-o", path,
                            "--quiet")
         self.assertEqual(len(report["cells_by_level"]), 3)
         self.assertEqual(self.json("stats", path)["samples"], report["samples"])
-        # Along a line through all three: defined, and no step at the borders that a tenth of the
-        # largest value would not cover.
+        # Along a line through all three: defined, and no step at the borders (nowhere, since without
+        # rays there are no masks at walls) that a tenth of the largest value would not cover.
         line = "\n".join(f"{x / 8},2.1,0.3,0,1,0" for x in range(0, 150))
         E = [float(r["Eg"]) for r in self.csv("query", path, "--points", "-", stdin=line)]
         self.assertEqual(len(E), 150)
