@@ -103,8 +103,35 @@ TEST_CASE("propagated volumes are the same bits for any number of threads", "[lp
     CHECK(one.report.surfels <= 3000);
     for (const int threads : {2, 4}) {
         options.lpv.threads = threads;
-        CHECK(differentRecords(one.volume, bakeLpv(*tracer, options).volume) == 0);
+        const IrradianceVolume other = bakeLpv(*tracer, options).volume;
+        CHECK(differentRecords(one.volume, other) == 0);
+        for (CellId c = 0; c < static_cast<CellId>(one.volume.cellCount()); ++c) {
+            REQUIRE(one.volume.blocking(c) == other.blocking(c));
+        }
     }
+}
+
+TEST_CASE("far from surfaces nothing blocks", "[lpvbake]")
+{
+    const auto tracer = makeTracer(litRoom());
+    LpvBakeOptions options = lpvOptions(0.4);
+    options.bounds = Box3d(Vec3d(-8.0), Vec3d(8.0));
+    options.rays = 0;
+    const IrradianceVolume volume = bakeLpv(*tracer, options).volume;
+    int near = 0, far = 0;
+    for (CellId c = 0; c < static_cast<CellId>(volume.cellCount()); ++c) {
+        const Coord& o = volume.cell(c).origin;
+        const bool touches = std::min({o.x, o.y, o.z}) >= -1 && std::max({o.x, o.y, o.z}) <= 4;
+        const Vec3f blocked = volume.blocking(c);
+        if (touches) {
+            near += blocked != Vec3f(0.0f);
+        } else {
+            ++far;
+            REQUIRE(blocked == Vec3f(0.0f));
+        }
+    }
+    CHECK(near > 20);
+    CHECK(far > 50000);
 }
 
 TEST_CASE("light groups add up where nothing is clamped", "[lpvbake]")
