@@ -169,7 +169,7 @@ class Ends(CliCase):
         report = self.folder / "never.json"
         with subprocess.Popen([PROGRAM, "bench", "--samples", SAMPLES, "--json", report],
                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-            time.sleep(2)
+            self.assertTrue(process.stderr.readline(), "ended before it could be interrupted")
             self.assertIsNone(process.poll(), "ended before it could be interrupted")
             process.send_signal(signal.SIGINT)
             out, err = process.communicate(timeout=30)
