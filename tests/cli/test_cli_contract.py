@@ -192,7 +192,7 @@ class Signals(CliCase):
     def test_each_signal_ends_cleanly(self):
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             with self.subTest(signal=number), self.bake("signal.vdb") as process:
-                time.sleep(1.5)
+                self.assertTrue(process.stderr.readline(), "ended before it was interrupted")
                 process.send_signal(number)
                 err = process.communicate(timeout=20)[1].decode()
                 self.assertEqual(process.returncode, 130)
