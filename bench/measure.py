@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measures what adaptive volumes are worth, and prints Markdown tables.
 
-    bench/measure.py PROGRAM ASSETS OUT STUDY [SCENE ...] [--seeds N] [--points N]
+    bench/measure.py PROGRAM ASSETS OUT STUDY [SCENE ...] [--seeds N] [--points N] [--rays N]
 
 Studies:
   equal-error   samples, bytes and processor seconds at 10, 5, 2 and 1% of error: uniform lattices
@@ -101,7 +101,7 @@ def at_error(rows, error, key):
 
 # ---- equal-error
 
-def series(bench, setup, variant, options, points, most):
+def series(bench, setup, variant, options, args):
     scene, light, bounds, coarsest = setup
     rows, worse = [], 0
     for step in range(24):
@@ -113,13 +113,13 @@ def series(bench, setup, variant, options, points, most):
         volume, row = bench.bake(scene, light, bounds, *how, "--gradients", gradients, *options)
         if rows and row["samples"] == rows[-1]["samples"]:
             continue
-        e = bench.evaluate(volume, scene, light, "--points", points, "--rays", 1024)
+        e = bench.evaluate(volume, scene, light, "--points", args.points, "--rays", args.rays)
         row.update(error=e["rel_rmse_debiased"], p99=e["p99"], file=row["bytes"])
         del row["report"]
         rows.append(row)
         print(f"  {variant}: {row['samples']:,} -> {percent(row['error'])}", file=sys.stderr)
         worse = worse + 1 if len(rows) > 1 and row["error"] > 0.93 * rows[-2]["error"] else 0
-        if row["error"] < 0.01 or worse == 3 or row["samples"] > most / 2.8:
+        if row["error"] < 0.01 or worse == 3 or row["samples"] > args.most / 2.8:
             break
     return rows
 
@@ -131,8 +131,8 @@ def equal_error(bench, scenes, args):
     print("|---|---|---|" + "---|" * (len(variants) + 1))
     for name, setup in scenes.items():
         for contribution in args.contributions:
-            options = ["--bands", 5, "--rays", 1024, "--contribution", contribution]
-            found = {v: series(bench, setup, v, options, args.points, args.most) for v in variants}
+            options = ["--bands", 5, "--rays", args.rays, "--contribution", contribution]
+            found = {v: series(bench, setup, v, options, args) for v in variants}
             (bench.out / f"equal_{name}_{contribution}.json").write_text(json.dumps(found))
             for error in (0.1, 0.05, 0.02, 0.01):
                 cells = []
@@ -343,6 +343,7 @@ def main():
     parser.add_argument("scene", nargs="*")
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--points", type=int, default=1000)
+    parser.add_argument("--rays", type=int, default=1024, help="of a sample, for equal-error")
     parser.add_argument("--most", type=int, default=100000, help="samples before giving up")
     parser.add_argument("--errors", type=lambda t: [float(v) for v in t.split(",")],
                         default=[0.05, 0.02, 0.01])
