@@ -5,9 +5,11 @@
 ///
 /// For each mode: the largest jump where no wall is (cells that geometry does not cut), by what
 /// lies between, and the largest inside cells that it cuts, where planes divide what is seen and
-/// jumps are meant. Beside them plain trilinear interpolation of each cell's own corners, which
-/// pops at changes of level. Jumps are shares of the volume's mean irradiance over the walks.
+/// jumps are meant. Places inside solids do not count. Beside them plain trilinear interpolation of
+/// each cell's own corners, which pops at changes of level. Jumps are shares of the volume's mean
+/// irradiance over the walks.
 
+#include <lumivdb/bake/probe.h>
 #include <lumivdb/bake/tracer.h>
 #include <lumivdb/core/error.h>
 #include <lumivdb/core/random.h>
@@ -92,10 +94,11 @@ std::vector<Walk> randomWalks(const IrradianceVolume& v)
     return walks;
 }
 
-/// Kinds of places, by the cells on both sides of a jump.
-enum Kind { Inside, SameLevel, LevelChange, AtWall, OffWall, kKinds };
-constexpr const char* kNames[kKinds]
-    = {"in a cell", "same level", "level change", "wall", "off wall"};
+/// Kinds of places, by the cells on both sides of a jump; the last three are cells that geometry
+/// cuts, or that have invalid corners, away from any surface.
+enum Kind { Inside, SameLevel, LevelChange, AtWall, OffInside, OffSame, OffLevel, kKinds };
+constexpr const char* kNames[kKinds] = {"in a cell", "same level", "level change", "wall",
+    "cut: in a cell", "cut: same level", "cut: level change"};
 
 /// Cells whose corners are not all valid count as cut: there the volume knows too little.
 bool isFree(const IrradianceVolume& v, CellId id)
@@ -110,11 +113,38 @@ Kind kindOf(const IrradianceVolume& v, const Tracer& tracer, const Vec3d& a, con
     const CellId ca = v.findCell(voxelAt(v, a)), cb = v.findCell(voxelAt(v, b));
     if (ca == kNoCell || cb == kNoCell || !isFree(v, ca) || !isFree(v, cb)) {
         const double cell = v.spacing() * (ca == kNoCell ? 1 : 1 << v.cell(ca).level);
-        return tracer.closestSurface(a, kAtWall * cell, nullptr, nullptr) ? AtWall : OffWall;
+        if (tracer.closestSurface(a, kAtWall * cell, nullptr, nullptr)) return AtWall;
+        if (ca == cb) return OffInside;
+        const bool same = ca != kNoCell && cb != kNoCell && v.cell(ca).level == v.cell(cb).level;
+        return same ? OffSame : OffLevel;
     }
     if (ca == cb) return Inside;
     return v.cell(ca).level == v.cell(cb).level ? SameLevel : LevelChange;
 }
+
+/// Tells free space from the inside of solids as a bake does.
+class FreeSpace {
+public:
+    explicit FreeSpace(const Tracer& tracer)
+        : mEstimator(tracer, options())
+    {
+    }
+    bool contains(const Vec3d& p)
+    {
+        return mEstimator.radianceSh(p, 1, 1, mWorkspace).validity >= kValidThreshold;
+    }
+
+private:
+    static ProbeOptions options()
+    {
+        ProbeOptions o;
+        o.rays = 64;
+        o.maxBounces = 0;
+        return o;
+    }
+    ProbeEstimator mEstimator;
+    ProbeEstimator::Workspace mWorkspace;
+};
 
 struct Found {
     double jump[kKinds] = {};
@@ -145,6 +175,7 @@ Found walkAll(
     const IrradianceVolume& v, const Tracer& tracer, const Light& light, std::size_t steps)
 {
     Found found;
+    FreeSpace space(tracer);
     const std::size_t perWalk = std::max<std::size_t>(2, steps / kWalks);
     const std::vector<Walk> walks = randomWalks(v);
     for (const Walk& w : walks)
@@ -160,11 +191,13 @@ Found walkAll(
             if (change > kLeast * found.mean) {
                 Vec3d a = before, b = now;
                 const double jump = jumpBetween(light, a, b, w.normal, v.spacing());
-                const Kind at = kindOf(v, tracer, a, b);
-                found.jump[at] = std::max(found.jump[at], jump / found.mean);
-                found.jumps[at] += jump > 0.01 * found.mean;
-                found.slope = std::max(found.slope,
-                    (change - jump) / found.mean * v.spacing() / (now - before).length());
+                if (jump < kLeast * found.mean || space.contains(a)) {
+                    const Kind at = kindOf(v, tracer, a, b);
+                    found.jump[at] = std::max(found.jump[at], jump / found.mean);
+                    found.jumps[at] += jump > 0.01 * found.mean;
+                    found.slope = std::max(found.slope,
+                        (change - jump) / found.mean * v.spacing() / (now - before).length());
+                }
             }
             before = now;
             light0 = light1;

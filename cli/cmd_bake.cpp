@@ -1,15 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 /// lumivdb bake: a scene in, an irradiance volume out.
 
-#include "common.h"
-#include "interrupt.h"
 #include "numbers.h"
-#include "output.h"
-#include "scene_options.h"
-#include "volume_output.h"
+#include "volume_command.h"
 
 #include <lumivdb/bake/bake.h>
-#include <lumivdb/vdb_io/resample.h>
 
 #include <nlohmann/json.hpp>
 
@@ -21,14 +16,9 @@ namespace lumivdb::cli {
 
 namespace {
 
-struct BakeSeconds {
-    double load = 0, build = 0, trace = 0, write = 0;
-};
-
-class BakeCommand : public Command {
+class BakeCommand : public VolumeCommand {
 public:
     void declare(Arguments& arguments) override;
-    void run(const Arguments& arguments) override;
 
 private:
     void declareGrid(Arguments& arguments);
@@ -36,17 +26,17 @@ private:
     void declareTracing(Arguments& arguments);
     void declareOther(Arguments& arguments);
     BakeOptions bakeOptions(const Arguments& arguments) const;
-    void finishMetadata(BakeResult& result, const Arguments& arguments) const;
-    Json report(const BakeResult& result, const Scene& scene, const BakeSeconds& seconds) const;
-    void summarise(const BakeResult& result, const BakeSeconds& seconds) const;
-    void judge(const AchievedError& a) const;
+    void prepare(const Arguments& arguments) override;
+    Made make(const Tracer& tracer, Progress& progress) override;
+    bool spacingFromScene(const Arguments& arguments) const override;
+    double traceSeconds(const Seconds& seconds) const;
+    void summarise(const Seconds& seconds) const override;
+    Json report(const Scene& scene, const Seconds& seconds) const override;
+    void judge() const override;
 
-    CommonOptions mCommon;
-    SceneOptions mScene;
-    VolumeOutput mOutput;
     BakeOptions mBake;
     std::optional<double> mSpacing, mTargetError;
-    std::string mUpAxis = "y";
+    std::optional<BakeResult> mResult;
 };
 
 /// An integer of a range, or "auto" for @a automatic.
@@ -172,10 +162,7 @@ void BakeCommand::declareGrid(Arguments& arguments)
             {"analytic", GradientMethod::Analytic}},
         "derivatives of every coefficient; analytic: from the same rays; central: six more "
         "projections a sample, spacing/8 away; chosen with --target-error");
-    arguments.choice<bool>("--visibility", mBake.visibility, {{"on", true}, {"off", false}},
-        "masks that keep light on its side of walls in cells that geometry cuts");
-    arguments.choice<std::string>("--up", mUpAxis, {{"y", "y"}, {"z", "z"}},
-        "up axis of the file; z turns grid and coefficients for Z-up programs such as Blender");
+    declareVolume(arguments, mBake.visibility);
 }
 
 void BakeCommand::declareRefinement(Arguments& arguments)
@@ -207,11 +194,7 @@ void BakeCommand::declareTracing(Arguments& arguments)
 
 void BakeCommand::declareOther(Arguments& arguments)
 {
-    mOutput.declare(arguments);
-    arguments.section("General");
-    mCommon.declareThreads(arguments);
-    mCommon.declareJson(arguments, "report: samples, rays, seconds, decisions, warnings");
-    mCommon.declareQuiet(arguments);
+    declareOutput(arguments, "report: samples, rays, seconds, decisions, warnings");
     arguments.example("lumivdb bake room.glb -o room.vdb",
         "everything by default: spacing from the scene, 3 bands, 1024 rays a sample");
     arguments.example("lumivdb bake sponza.glb --env sky.hdr --sun-direction 0.3,1,0.2 --sun-lux 8 "
@@ -225,9 +208,7 @@ void BakeCommand::declareOther(Arguments& arguments)
 
 void BakeCommand::declare(Arguments& arguments)
 {
-    mScene.declarePositional(arguments);
-    mScene.declareLight(arguments);
-    mScene.declareLightGroup(arguments, "[default: all light]");
+    declareScene(arguments);
     declareGrid(arguments);
     declareRefinement(arguments);
     declareTracing(arguments);
@@ -262,16 +243,23 @@ BakeOptions BakeCommand::bakeOptions(const Arguments& arguments) const
     return options;
 }
 
-void BakeCommand::finishMetadata(BakeResult& result, const Arguments& arguments) const
+void BakeCommand::prepare(const Arguments& arguments)
 {
-    VolumeMetadata& metadata = result.volume.metadata();
-    metadata.options = arguments.commandLine();
-    if (!mSpacing && !mTargetError && mBake.levels == 0 && !arguments.given("--refine")
-        && !arguments.given("--refine-threshold"))
-        metadata.options += " --spacing " + toText(result.report.spacing);
-    if (mUpAxis == "y") return;
-    result.volume = transformVolume(result.volume, upAxisRotation("y", mUpAxis));
-    result.volume.metadata().upAxis = mUpAxis;
+    validateLightTransport(mBake.probe.contribution, mBake.probe.maxBounces);
+    mBake = bakeOptions(arguments);
+}
+
+BakeCommand::Made BakeCommand::make(const Tracer& tracer, Progress& progress)
+{
+    mResult = bakeVolume(tracer, mBake, &progress);
+    const BakeReport& baked = mResult->report;
+    return {mResult->volume, baked.warnings, baked.decisions, baked.spacing};
+}
+
+bool BakeCommand::spacingFromScene(const Arguments& arguments) const
+{
+    return !mSpacing && !mTargetError && mBake.levels == 0 && !arguments.given("--refine")
+        && !arguments.given("--refine-threshold");
 }
 
 Json achieved(const AchievedError& a)
@@ -286,42 +274,41 @@ Json achieved(const AchievedError& a)
     return json;
 }
 
-Json BakeCommand::report(
-    const BakeResult& result, const Scene& scene, const BakeSeconds& seconds) const
+double BakeCommand::traceSeconds(const Seconds& seconds) const
 {
-    const BakeReport& baked = result.report;
+    return seconds.make - mResult->report.secondsRefine - mResult->report.secondsVerify;
+}
+
+Json BakeCommand::report(const Scene& scene, const Seconds& seconds) const
+{
+    const BakeReport& baked = mResult->report;
     Json json;
     json["samples"] = baked.samples;
     json["traced_samples"] = baked.tracedSamples;
     json["cells_by_level"] = baked.cellsByLevel;
     json["rays"] = baked.rays;
     json["rays_per_second"] = baked.raysPerSecond;
-    json["seconds"] = {{"load", seconds.load}, {"build", seconds.build}, {"trace", seconds.trace},
-        {"refine", baked.secondsRefine}, {"verify", baked.secondsVerify}, {"write", seconds.write}};
+    json["seconds"] = {{"load", seconds.load}, {"build", seconds.build},
+        {"trace", traceSeconds(seconds)}, {"refine", baked.secondsRefine},
+        {"verify", baked.secondsVerify}, {"write", seconds.write}};
     json["target_error"] = mTargetError ? Json(*mTargetError) : Json(nullptr);
     json["achieved"] = achieved(baked.achieved);
     json["decisions"] = baked.decisions;
     json["warnings"] = mCommon.console.warnings();
     json["spacing"] = baked.spacing;
-    json["bands"] = result.volume.bands();
-    json["bounds"] = jsonOf(result.volume.worldBounds());
+    json["bands"] = mResult->volume.bands();
+    json["bounds"] = jsonOf(mResult->volume.worldBounds());
     json["mean_relative_stderr"] = baked.meanRelativeStderr;
     json["triangles"] = scene.triangleCount();
-    json["scene_hash"] = result.volume.metadata().sceneHash;
-    json["file"] = mOutput.path;
-    json["file_bytes"] = fileBytes(mOutput.path);
+    addFile(json, mResult->volume);
     return json;
 }
 
-void BakeCommand::summarise(const BakeResult& result, const BakeSeconds& seconds) const
+void BakeCommand::summarise(const Seconds& seconds) const
 {
-    const BakeReport& baked = result.report;
-    const double total = seconds.load + seconds.build + seconds.trace + baked.secondsRefine
-        + baked.secondsVerify + seconds.write;
+    const BakeReport& baked = mResult->report;
     const Console& console = mCommon.console;
-    std::string levels;
-    for (const std::uint64_t n : baked.cellsByLevel) levels += " " + grouped(n);
-    if (baked.cellsByLevel.size() > 1) console.note("Cells by level, finest first:" + levels + ".");
+    noteLevels(baked.cellsByLevel);
     if (baked.achieved.points > 0) {
         console.note("Error: " + rounded(100 * baked.achieved.relRmse, 3) + "%, at most "
             + rounded(100 * baked.achieved.upper, 3) + "% with "
@@ -329,18 +316,19 @@ void BakeCommand::summarise(const BakeResult& result, const BakeSeconds& seconds
             + grouped(baked.achieved.points) + " points that the bake did not use.");
     }
     console.note(grouped(baked.samples) + " samples " + rounded(baked.spacing) + " apart, "
-        + std::to_string(result.volume.bands()) + " bands; " + grouped(baked.rays) + " rays, "
+        + std::to_string(mResult->volume.bands()) + " bands; " + grouped(baked.rays) + " rays, "
         + rounded(baked.raysPerSecond / 1e6, 3) + " million a second; standard error of E "
         + rounded(100 * baked.meanRelativeStderr, 2) + "% on average.");
-    console.note("'" + mOutput.path + "': " + humanBytes(fileBytes(mOutput.path)) + " after "
-        + humanSeconds(total) + " (load " + humanSeconds(seconds.load) + ", build "
-        + humanSeconds(seconds.build) + ", trace " + humanSeconds(seconds.trace) + ", refine "
-        + humanSeconds(baked.secondsRefine) + ", verify " + humanSeconds(baked.secondsVerify)
-        + ", write " + humanSeconds(seconds.write) + ").");
+    noteFile(seconds.load + seconds.build + seconds.make + seconds.write,
+        "load " + humanSeconds(seconds.load) + ", build " + humanSeconds(seconds.build) + ", trace "
+            + humanSeconds(traceSeconds(seconds)) + ", refine " + humanSeconds(baked.secondsRefine)
+            + ", verify " + humanSeconds(baked.secondsVerify) + ", write "
+            + humanSeconds(seconds.write));
 }
 
-void BakeCommand::judge(const AchievedError& a) const
+void BakeCommand::judge() const
 {
+    const AchievedError& a = mResult->report.achieved;
     if (!mTargetError || a.met) return;
     std::string places;
     for (std::size_t i = 0; i < a.worst.size() && i < 3; ++i) {
@@ -353,38 +341,6 @@ void BakeCommand::judge(const AchievedError& a) const
             + " was not met; the volume was written with an error of at most " + rounded(a.upper, 3)
             + ". It is worst at" + places
             + ": raise --max-samples, or leave thin walls and lamps out with --bounds.");
-}
-
-void BakeCommand::run(const Arguments& arguments)
-{
-    mScene.validate(arguments);
-    validateLightTransport(mBake.probe.contribution, mBake.probe.maxBounces);
-    const BakeOptions options = bakeOptions(arguments);
-    mOutput.check();
-    checkIsNoneOf(mOutput.path, "-o", {mScene.path});
-    mCommon.apply({mScene.path, mOutput.path});
-    BakeSeconds seconds;
-    Stopwatch watch;
-    const auto scene = mScene.load(mCommon.console);
-    seconds.load = watch.restart();
-
-    ProgressBar progress(mCommon.console.progressStyle());
-    const Tracer tracer(scene, &progress);
-    throwIfInterrupted();
-    seconds.build = watch.restart();
-    BakeResult result = bakeVolume(tracer, options, &progress);
-    const double baking = watch.restart();
-    seconds.trace = baking - result.report.secondsRefine - result.report.secondsVerify;
-    finishMetadata(result, arguments);
-    mOutput.write(result.volume, progress);
-    seconds.write = watch.restart();
-    progress.finish();
-
-    mCommon.console.warn(result.report.warnings);
-    for (const std::string& decision : result.report.decisions) mCommon.console.note(decision);
-    summarise(result, seconds);
-    mCommon.writeJson(report(result, *scene, seconds));
-    judge(result.report.achieved);
 }
 
 } // namespace

@@ -1,15 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 /// lumivdb lpv: a scene in, an irradiance volume out, by light propagation instead of paths.
 
-#include "common.h"
-#include "interrupt.h"
 #include "numbers.h"
-#include "output.h"
-#include "scene_options.h"
-#include "volume_output.h"
+#include "volume_command.h"
 
 #include <lumivdb/bake/lpv_bake.h>
-#include <lumivdb/vdb_io/resample.h>
 
 #include <nlohmann/json.hpp>
 
@@ -17,14 +12,9 @@ namespace lumivdb::cli {
 
 namespace {
 
-struct LpvSeconds {
-    double load = 0, build = 0, write = 0;
-};
-
-class LpvCommand : public Command {
+class LpvCommand : public VolumeCommand {
 public:
     void declare(Arguments& arguments) override;
-    void run(const Arguments& arguments) override;
 
 private:
     void declareGrid(Arguments& arguments);
@@ -32,17 +22,16 @@ private:
     void declareSampling(Arguments& arguments);
     void declareOther(Arguments& arguments);
     LpvBakeOptions bakeOptions(const Arguments& arguments) const;
-    void finishMetadata(LpvBakeResult& result, const Arguments& arguments) const;
-    Json report(const LpvBakeResult& result, const LpvSeconds& seconds) const;
-    void summarise(const LpvBakeResult& result, const LpvSeconds& seconds) const;
+    void prepare(const Arguments& arguments) override { mBake = bakeOptions(arguments); }
+    Made make(const Tracer& tracer, Progress& progress) override;
+    bool spacingFromScene(const Arguments&) const override { return !mSpacing; }
+    void summarise(const Seconds& seconds) const override;
+    Json report(const Scene& scene, const Seconds& seconds) const override;
 
-    CommonOptions mCommon;
-    SceneOptions mScene;
-    VolumeOutput mOutput;
     LpvBakeOptions mBake;
     std::optional<double> mSpacing;
     bool mNoOcclusion = false;
-    std::string mUpAxis = "y";
+    std::optional<LpvBakeResult> mResult;
 };
 
 void LpvCommand::declareGrid(Arguments& arguments)
@@ -60,10 +49,7 @@ void LpvCommand::declareGrid(Arguments& arguments)
         "cells along each axis of each of several cascades, a multiple of 8");
     arguments.vector("--center", mBake.center,
         "place that several cascades lie around, scene units [default: the scene's middle]");
-    arguments.choice<bool>("--visibility", mBake.visibility, {{"on", true}, {"off", false}},
-        "masks that keep light on its side of walls in cells that geometry cuts");
-    arguments.choice<std::string>("--up", mUpAxis, {{"y", "y"}, {"z", "z"}},
-        "up axis of the file; z turns grid and coefficients for Z-up programs such as Blender");
+    declareVolume(arguments, mBake.visibility);
 }
 
 void LpvCommand::declarePropagation(Arguments& arguments)
@@ -104,11 +90,7 @@ void LpvCommand::declareSampling(Arguments& arguments)
 
 void LpvCommand::declareOther(Arguments& arguments)
 {
-    mOutput.declare(arguments);
-    arguments.section("General");
-    mCommon.declareThreads(arguments);
-    mCommon.declareJson(arguments, "report: samples, surfels, iterations, residual, seconds");
-    mCommon.declareQuiet(arguments);
+    declareOutput(arguments, "report: samples, surfels, iterations, residual, seconds");
     arguments.example(
         "lumivdb lpv room.glb -o room.vdb", "the indirect light of a room: spacing from the scene");
     arguments.example("lumivdb lpv sponza.glb --sun-direction 0.3,1,0.2 --sun-lux 8 --spacing 0.5 "
@@ -129,9 +111,7 @@ void LpvCommand::declare(Arguments& arguments)
         "2010). Fast, with two bands, and an error of tens of per cent; 'lumivdb evaluate' "
         "measures it. By default the volume holds indirect light: renderers that light with it "
         "add the lights themselves.");
-    mScene.declarePositional(arguments);
-    mScene.declareLight(arguments);
-    mScene.declareLightGroup(arguments, "[default: all light]");
+    declareScene(arguments);
     declareGrid(arguments);
     declarePropagation(arguments);
     declareSampling(arguments);
@@ -170,19 +150,16 @@ LpvBakeOptions LpvCommand::bakeOptions(const Arguments& arguments) const
     return options;
 }
 
-void LpvCommand::finishMetadata(LpvBakeResult& result, const Arguments& arguments) const
+LpvCommand::Made LpvCommand::make(const Tracer& tracer, Progress& progress)
 {
-    VolumeMetadata& metadata = result.volume.metadata();
-    metadata.options = arguments.commandLine();
-    if (!mSpacing) metadata.options += " --spacing " + toText(result.report.spacing);
-    if (mUpAxis == "y") return;
-    result.volume = transformVolume(result.volume, upAxisRotation("y", mUpAxis));
-    result.volume.metadata().upAxis = mUpAxis;
+    mResult = bakeLpv(tracer, mBake, &progress);
+    const LpvBakeReport& r = mResult->report;
+    return {mResult->volume, r.warnings, r.decisions, r.spacing};
 }
 
-Json LpvCommand::report(const LpvBakeResult& result, const LpvSeconds& seconds) const
+Json LpvCommand::report(const Scene&, const Seconds& seconds) const
 {
-    const LpvBakeReport& r = result.report;
+    const LpvBakeReport& r = mResult->report;
     Json json;
     json["samples"] = r.samples;
     json["cells_by_level"] = r.cellsByLevel;
@@ -197,69 +174,33 @@ Json LpvCommand::report(const LpvBakeResult& result, const LpvSeconds& seconds) 
         {"samples", r.secondsSamples}, {"write", seconds.write}};
     json["decisions"] = r.decisions;
     json["warnings"] = mCommon.console.warnings();
-    json["contribution"] = result.volume.metadata().contribution;
+    json["contribution"] = mResult->volume.metadata().contribution;
     json["scheme"] = mBake.lpv.scheme == LpvScheme::Clamped ? "clamped" : "conservative";
     json["occlusion"] = !mNoOcclusion;
     json["bounces"] = mBake.lpv.bounces == LpvBounces::One ? "one" : "many";
     json["cascades"] = mBake.cascades.cascades;
     json["spacing"] = r.spacing;
-    json["bands"] = result.volume.bands();
-    json["bounds"] = jsonOf(result.volume.worldBounds());
-    json["scene_hash"] = result.volume.metadata().sceneHash;
-    json["file"] = mOutput.path;
-    json["file_bytes"] = fileBytes(mOutput.path);
+    json["bands"] = mResult->volume.bands();
+    json["bounds"] = jsonOf(mResult->volume.worldBounds());
+    addFile(json, mResult->volume);
     return json;
 }
 
-void LpvCommand::summarise(const LpvBakeResult& result, const LpvSeconds& seconds) const
+void LpvCommand::summarise(const Seconds& seconds) const
 {
-    const LpvBakeReport& r = result.report;
+    const LpvBakeReport& r = mResult->report;
     const Console& console = mCommon.console;
-    std::string levels;
-    for (const std::uint64_t n : r.cellsByLevel) levels += " " + grouped(n);
-    if (r.cellsByLevel.size() > 1) console.note("Cells by level, finest first:" + levels + ".");
+    noteLevels(r.cellsByLevel);
     console.note(grouped(r.samples) + " samples " + rounded(r.spacing) + " apart; "
         + grouped(r.surfels) + " lit pieces of surface, " + grouped(r.surfelsOutside)
         + " of them outside, " + grouped(r.blockers) + " in the way.");
     console.note(grouped(static_cast<std::uint64_t>(r.propagation.iterations)) + " iterations; "
         + rounded(100 * r.propagation.residual, 2) + "% of the light was left on its way.");
-    const double total = seconds.load + seconds.build + r.secondsRsm + r.secondsInject
-        + r.secondsPropagate + r.secondsSamples + seconds.write;
-    console.note("'" + mOutput.path + "': " + humanBytes(fileBytes(mOutput.path)) + " after "
-        + humanSeconds(total) + " (load " + humanSeconds(seconds.load) + ", build "
-        + humanSeconds(seconds.build) + ", maps " + humanSeconds(r.secondsRsm) + ", inject "
-        + humanSeconds(r.secondsInject) + ", propagate " + humanSeconds(r.secondsPropagate)
-        + ", samples " + humanSeconds(r.secondsSamples) + ", write " + humanSeconds(seconds.write)
-        + ").");
-}
-
-void LpvCommand::run(const Arguments& arguments)
-{
-    mScene.validate(arguments);
-    const LpvBakeOptions options = bakeOptions(arguments);
-    mOutput.check();
-    checkIsNoneOf(mOutput.path, "-o", {mScene.path});
-    mCommon.apply({mScene.path, mOutput.path});
-    LpvSeconds seconds;
-    Stopwatch watch;
-    const auto scene = mScene.load(mCommon.console);
-    seconds.load = watch.restart();
-
-    ProgressBar progress(mCommon.console.progressStyle());
-    const Tracer tracer(scene, &progress);
-    throwIfInterrupted();
-    seconds.build = watch.restart();
-    LpvBakeResult result = bakeLpv(tracer, options, &progress);
-    watch.restart();
-    finishMetadata(result, arguments);
-    mOutput.write(result.volume, progress);
-    seconds.write = watch.restart();
-    progress.finish();
-
-    mCommon.console.warn(result.report.warnings);
-    for (const std::string& decision : result.report.decisions) mCommon.console.note(decision);
-    summarise(result, seconds);
-    mCommon.writeJson(report(result, seconds));
+    noteFile(seconds.load + seconds.build + seconds.make + seconds.write,
+        "load " + humanSeconds(seconds.load) + ", build " + humanSeconds(seconds.build) + ", maps "
+            + humanSeconds(r.secondsRsm) + ", inject " + humanSeconds(r.secondsInject)
+            + ", propagate " + humanSeconds(r.secondsPropagate) + ", samples "
+            + humanSeconds(r.secondsSamples) + ", write " + humanSeconds(seconds.write));
 }
 
 } // namespace

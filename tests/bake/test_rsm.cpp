@@ -238,11 +238,11 @@ TEST_CASE("a lamp outside what it lights spends its beams there", "[rsm]")
         lamp.innerConeAngle = lamp.outerConeAngle = 1.2;
         const std::vector<Surfel> surfels = reflectedLight(*tracer, lamp, withResolution(64));
         CHECK(surfels.size() > 64 * 64 / 2);
-        for (const Vec3d& corner : {Vec3d(0, 0, 0), Vec3d(0, 0, 2), Vec3d(2, 0, 0), Vec3d(2, 0, 2)}) {
+        for (const Vec3d& corner :
+            {Vec3d(0, 0, 0), Vec3d(0, 0, 2), Vec3d(2, 0, 0), Vec3d(2, 0, 2)}) {
             // Beams are 0.04 apart there; a cone a tenth too narrow ends 0.09 before the corners.
-            CHECK(std::any_of(surfels.begin(), surfels.end(), [&](const Surfel& s) {
-                return (Vec3d(s.position) - corner).length() < 0.07;
-            }));
+            CHECK(std::any_of(surfels.begin(), surfels.end(),
+                [&](const Surfel& s) { return (Vec3d(s.position) - corner).length() < 0.07; }));
         }
         checkEstimate(
             overSeeds(16,
