@@ -45,6 +45,13 @@ struct Row {
 /// At 9x + y, x, y = 0 … 8.
 using Rows = std::array<Row, 81>;
 
+/// The cell that a voxel of a block lies in.
+struct Inside {
+    CellId cell = kNoCell;
+    bool plain = false; ///< isPlain()
+    bool rows = false; ///< usesRows()
+};
+
 /// Whether all rows lie at equal distances.
 bool isLattice(const Rows& rows, FormLattice& lattice)
 {
@@ -72,7 +79,7 @@ private:
     std::int32_t addBlock(const std::vector<CellId>& cells);
     Rows rowsOf(const Coord& lower) const;
     bool usesRows(CellId id);
-    void fillColumn(const CellId* cell, const Rows& rows, const Coord& voxel, FormColumn& out);
+    void fillColumn(const Inside* inside, const Rows& rows, const Coord& voxel, FormColumn& out);
     bool isPlain(CellId id) const;
     std::int32_t partAt(std::int32_t target, const Cell& cell, const Coord& voxel) const;
     std::int32_t compiled(CellId id);
@@ -203,41 +210,41 @@ std::int32_t Compiler::addBlock(const std::vector<CellId>& cells)
     SamplerForm& f = *mForm;
     const Coord lower = blockOf(mVolume.cell(cells[0]).origin) * SamplerForm::kBlockSize;
     const Rows rows = rowsOf(lower);
-    FormLattice lattice{};
-    if (cells.size() == SamplerForm::kBlockVoxels && isLattice(rows, lattice)
-        && std::all_of(cells.begin(), cells.end(), [this](CellId id) { return isPlain(id); })) {
-        f.lattices.push_back(lattice);
-        return static_cast<std::int32_t>(2 * f.lattices.size() - 1);
-    }
-    std::array<CellId, SamplerForm::kBlockVoxels> at;
-    at.fill(kNoCell);
+    std::array<Inside, SamplerForm::kBlockVoxels> inside;
+    bool plain = cells.size() == SamplerForm::kBlockVoxels;
     for (const CellId id : cells) {
         const Cell& cell = mVolume.cell(id);
         const int n = 1 << cell.level;
+        Inside in{id, isPlain(id), false};
+        in.rows = in.plain || usesRows(id);
+        plain = plain && in.plain;
         for (int x = 0; x < n; ++x)
-            for (int y = 0; y < n; ++y) {
-                const int first = voxelInBlock(cell.origin + Coord(x, y, 0));
-                std::fill_n(at.begin() + first, n, id);
-            }
+            for (int y = 0; y < n; ++y)
+                std::fill_n(inside.begin() + voxelInBlock(cell.origin + Coord(x, y, 0)), n, in);
+    }
+    FormLattice lattice{};
+    if (plain && isLattice(rows, lattice)) {
+        f.lattices.push_back(lattice);
+        return static_cast<std::int32_t>(2 * f.lattices.size() - 1);
     }
     const std::size_t block = f.columns.size() / SamplerForm::kColumns;
     for (int c = 0; c < SamplerForm::kColumns; ++c) {
         FormColumn column{};
-        fillColumn(at.data() + SamplerForm::kBlockSize * c, rows,
+        fillColumn(inside.data() + SamplerForm::kBlockSize * c, rows,
             lower + Coord(c / SamplerForm::kBlockSize, c % SamplerForm::kBlockSize, 0), column);
         f.columns.push_back(column);
     }
     return static_cast<std::int32_t>(2 * block);
 }
 
-/// Column of the eight cells @a cell from @a voxel on.
-void Compiler::fillColumn(const CellId* cell, const Rows& rows, const Coord& voxel, FormColumn& out)
+/// Column of eight voxels from @a voxel on.
+void Compiler::fillColumn(
+    const Inside* inside, const Rows& rows, const Coord& voxel, FormColumn& out)
 {
     // Rows are those of the level that most of it can use.
     std::array<int, SamplerForm::kBlockLog2> users{};
     for (int z = 0; z < SamplerForm::kBlockSize; ++z)
-        if (cell[z] != kNoCell && usesRows(cell[z]))
-            ++users[static_cast<std::size_t>(mVolume.cell(cell[z]).level)];
+        if (inside[z].rows) ++users[static_cast<std::size_t>(mVolume.cell(inside[z].cell).level)];
     const auto level
         = static_cast<int>(std::max_element(users.begin(), users.end()) - users.begin());
     const int size = 1 << level, within = 7 & -size;
@@ -249,23 +256,23 @@ void Compiler::fillColumn(const CellId* cell, const Rows& rows, const Coord& vox
     }
     for (int z = 0; z < SamplerForm::kBlockSize; ++z) {
         out.code[z] = kEmptyCode;
-        if (cell[z] == kNoCell) continue;
-        const Cell& at = mVolume.cell(cell[z]);
-        const bool plain = isPlain(cell[z]);
-        out.code[z] = kCellCode;
-        if (at.level == level && usesRows(cell[z])) {
-            out.code[z] = static_cast<std::uint8_t>(level + (plain ? 0 : kCutCode));
-            if (!plain) out.id[z] = mForm->cells[static_cast<std::size_t>(compiled(cell[z]))].next;
+        const Inside& in = inside[z];
+        if (in.cell == kNoCell) continue;
+        const Cell& cell = mVolume.cell(in.cell);
+        if (cell.level == level && in.rows) {
+            out.code[z] = static_cast<std::uint8_t>(level + (in.plain ? 0 : kCutCode));
+            if (!in.plain)
+                out.id[z] = mForm->cells[static_cast<std::size_t>(compiled(in.cell))].next;
         } else {
-            out.id[z] = partAt(compiled(cell[z]), at, voxel + Coord(0, 0, z));
+            out.code[z] = kCellCode;
+            out.id[z] = partAt(compiled(in.cell), cell, voxel + Coord(0, 0, z));
         }
     }
 }
 
-/// Whether the nodes of a cell are the corners that rows have, in every region of a cut one.
+/// Whether the nodes of a cell that is not plain are its corners in every region, which rows have.
 bool Compiler::usesRows(CellId id)
 {
-    if (isPlain(id)) return true;
     const FormCell& made = mForm->cells[static_cast<std::size_t>(compiled(id))];
     return made.kind == FormCell::Cut && made.node[0] == mVolume.cell(id).corners[0]
         && mForm->cutsMore[static_cast<std::size_t>(made.next)].split[0] < 0;
