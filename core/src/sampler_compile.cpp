@@ -37,17 +37,30 @@ unsigned validCorners(const IrradianceVolume& volume, const Cell& cell)
     return mask;
 }
 
-/// Sets first and steps where all rows lie at equal distances.
-bool hasEqualSteps(const FormBlock& rows, FormBlockHead& head)
+/// Rows along z of a block's samples.
+struct Row {
+    std::uint32_t first = 0; ///< node of the first one
+    std::uint32_t present = 0; ///< bit z: there is one at z
+};
+/// At 9x + y, x, y = 0 … 8.
+using Rows = std::array<Row, 81>;
+
+/// The cell that a voxel of a block lies in.
+struct Inside {
+    CellId cell = kNoCell;
+    bool plain = false; ///< isPlain()
+    bool rows = false; ///< usesRows()
+};
+
+/// Whether all rows lie at equal distances.
+bool isLattice(const Rows& rows, FormLattice& lattice)
 {
-    const std::uint32_t first = rows.row[0].first, stepX = rows.row[9].first - first,
-                        stepY = rows.row[1].first - first;
+    const std::uint32_t first = rows[0].first, stepX = rows[9].first - first,
+                        stepY = rows[1].first - first;
+    lattice = {first, stepX, stepY};
     for (std::uint32_t x = 0; x < 9; ++x)
         for (std::uint32_t y = 0; y < 9; ++y)
-            if (rows.row[9 * x + y].first != first + x * stepX + y * stepY) return false;
-    head.first = first;
-    head.stepX = stepX;
-    head.stepY = stepY;
+            if (rows[9 * x + y].first != first + x * stepX + y * stepY) return false;
     return true;
 }
 
@@ -63,10 +76,12 @@ private:
     }
     void setUp();
     void makeTable();
-    void fillBlock(std::int32_t& entry, const std::vector<CellId>& cells);
-    void fillRows(FormBlock& block, const Coord& lower) const;
+    std::int32_t addBlock(const std::vector<CellId>& cells);
+    Rows rowsOf(const Coord& lower) const;
+    bool usesRows(CellId id);
+    void fillColumn(const Inside* inside, const Rows& rows, const Coord& voxel, FormColumn& out);
     bool isPlain(CellId id) const;
-    std::int32_t partAt(std::int32_t target, std::uint8_t code, const Coord& at, int n) const;
+    std::int32_t partAt(std::int32_t target, const Cell& cell, const Coord& voxel) const;
     std::int32_t compiled(CellId id);
     void compileCell(CellId id, FormCell& out);
     void setCorners(const Cell& cell, unsigned usable, FormCell& out);
@@ -184,70 +199,93 @@ void Compiler::makeTable()
         }
         small[static_cast<std::size_t>(entry)].push_back(id);
     }
-    f.heads.reserve(small.size());
     for (std::int32_t& entry : f.table) {
-        if (entry >= 0) fillBlock(entry, small[static_cast<std::size_t>(entry)]);
+        if (entry >= 0) entry = addBlock(small[static_cast<std::size_t>(entry)]);
     }
 }
 
-void Compiler::fillBlock(std::int32_t& entry, const std::vector<CellId>& cells)
+/// Returns the block's entry in the table.
+std::int32_t Compiler::addBlock(const std::vector<CellId>& cells)
 {
     SamplerForm& f = *mForm;
     const Coord lower = blockOf(mVolume.cell(cells[0]).origin) * SamplerForm::kBlockSize;
-    FormBlockHead block{};
-    FormBlock rows{};
-    fillRows(rows, lower);
-    bool uniform = cells.size() == SamplerForm::kBlockVoxels;
-    std::array<std::uint8_t, SamplerForm::kBlockVoxels> codes;
-    std::array<std::int32_t, SamplerForm::kBlockVoxels> ids;
-    codes.fill(kEmptyCode);
-    ids.fill(-1);
-    bool special = false;
+    const Rows rows = rowsOf(lower);
+    std::array<Inside, SamplerForm::kBlockVoxels> inside;
+    bool plain = cells.size() == SamplerForm::kBlockVoxels;
     for (const CellId id : cells) {
         const Cell& cell = mVolume.cell(id);
         const int n = 1 << cell.level;
-        auto code = static_cast<std::uint8_t>(cell.level);
-        std::int32_t target = -1;
-        if (!isPlain(id)) {
-            target = compiled(id);
-            code = kCellCode;
-            const FormCell& made = f.cells[static_cast<std::size_t>(target)];
-            const bool whole = made.kind == FormCell::Cut && made.node[0] == cell.corners[0]
-                && f.cutsMore[static_cast<std::size_t>(made.next)].split[0] < 0;
-            if (whole) { // rows have its nodes
-                code = kCutCode;
-                target = made.next;
-            }
-            special = true;
-        }
-        uniform = uniform && code == 0;
-        for (int v = 0; v < n * n * n; ++v) {
-            const Coord at(v / (n * n), v / n % n, v % n);
-            const int voxel = voxelInBlock(cell.origin + at);
-            codes[static_cast<std::size_t>(voxel)] = code;
-            ids[static_cast<std::size_t>(voxel)] = partAt(target, code, at, n);
-        }
+        Inside in{id, isPlain(id), false};
+        in.rows = in.plain || usesRows(id);
+        plain = plain && in.plain;
+        for (int x = 0; x < n; ++x)
+            for (int y = 0; y < n; ++y)
+                std::fill_n(inside.begin() + voxelInBlock(cell.origin + Coord(x, y, 0)), n, in);
     }
-    block.codes = uniform ? -1 : static_cast<std::int32_t>(f.codes.size() / codes.size());
-    block.ids = special ? static_cast<std::int32_t>(f.ids.size() / ids.size()) : -1;
-    if (!uniform) f.codes.insert(f.codes.end(), codes.begin(), codes.end());
-    if (special) f.ids.insert(f.ids.end(), ids.begin(), ids.end());
-    if (!uniform || !hasEqualSteps(rows, block)) {
-        block.rows = static_cast<std::int32_t>(f.blocks.size());
-        f.blocks.push_back(rows);
+    FormLattice lattice{};
+    if (plain && isLattice(rows, lattice)) {
+        f.lattices.push_back(lattice);
+        return static_cast<std::int32_t>(2 * f.lattices.size() - 1);
     }
-    entry = static_cast<std::int32_t>(f.heads.size());
-    f.heads.push_back(block);
+    const std::size_t block = f.columns.size() / SamplerForm::kColumns;
+    for (int c = 0; c < SamplerForm::kColumns; ++c) {
+        FormColumn column{};
+        fillColumn(inside.data() + SamplerForm::kBlockSize * c, rows,
+            lower + Coord(c / SamplerForm::kBlockSize, c % SamplerForm::kBlockSize, 0), column);
+        f.columns.push_back(column);
+    }
+    return static_cast<std::int32_t>(2 * block);
 }
 
-/// The part of a split cell that voxel @a at of its n³ lies in; else the cell.
-std::int32_t Compiler::partAt(std::int32_t target, std::uint8_t code, const Coord& at, int n) const
+/// Column of eight voxels from @a voxel on.
+void Compiler::fillColumn(
+    const Inside* inside, const Rows& rows, const Coord& voxel, FormColumn& out)
 {
-    if (code != kCellCode) return target;
-    const FormCell& cell = mForm->cells[static_cast<std::size_t>(target)];
-    if (cell.kind != FormCell::Split) return target;
-    const int half = n / 2;
-    return cell.next + (at.x >= half) + 2 * (at.y >= half) + 4 * (at.z >= half);
+    // Rows are those of the level that most of it can use.
+    std::array<int, SamplerForm::kBlockLog2> users{};
+    for (int z = 0; z < SamplerForm::kBlockSize; ++z)
+        if (inside[z].rows) ++users[static_cast<std::size_t>(mVolume.cell(inside[z].cell).level)];
+    const auto level
+        = static_cast<int>(std::max_element(users.begin(), users.end()) - users.begin());
+    const int size = 1 << level, within = 7 & -size;
+    for (int i = 0; i < 4; ++i) {
+        const int x = (voxel.x & within) + (i & 1) * size, y = (voxel.y & within) + (i >> 1) * size;
+        out.first[i] = rows[static_cast<std::size_t>(9 * x + y)].first;
+        out.present[i]
+            = static_cast<std::uint16_t>(rows[static_cast<std::size_t>(9 * x + y)].present);
+    }
+    for (int z = 0; z < SamplerForm::kBlockSize; ++z) {
+        out.code[z] = kEmptyCode;
+        const Inside& in = inside[z];
+        if (in.cell == kNoCell) continue;
+        const Cell& cell = mVolume.cell(in.cell);
+        if (cell.level == level && in.rows) {
+            out.code[z] = static_cast<std::uint8_t>(level + (in.plain ? 0 : kCutCode));
+            if (!in.plain)
+                out.id[z] = mForm->cells[static_cast<std::size_t>(compiled(in.cell))].next;
+        } else {
+            out.code[z] = kCellCode;
+            out.id[z] = partAt(compiled(in.cell), cell, voxel + Coord(0, 0, z));
+        }
+    }
+}
+
+/// Whether the nodes of a cell that is not plain are its corners in every region, which rows have.
+bool Compiler::usesRows(CellId id)
+{
+    const FormCell& made = mForm->cells[static_cast<std::size_t>(compiled(id))];
+    return made.kind == FormCell::Cut && made.node[0] == mVolume.cell(id).corners[0]
+        && mForm->cutsMore[static_cast<std::size_t>(made.next)].split[0] < 0;
+}
+
+/// The part of a split cell that @a voxel lies in; else the cell.
+std::int32_t Compiler::partAt(std::int32_t target, const Cell& cell, const Coord& voxel) const
+{
+    const FormCell& whole = mForm->cells[static_cast<std::size_t>(target)];
+    if (whole.kind != FormCell::Split) return target;
+    const int half = (1 << cell.level) / 2;
+    const Coord at = voxel - cell.origin;
+    return whole.next + (at.x >= half) + 2 * (at.y >= half) + 4 * (at.z >= half);
 }
 
 /// Nothing but eight corners: no wall, no finer neighbour, not without any valid corner.
@@ -259,13 +297,14 @@ bool Compiler::isPlain(CellId id) const
 }
 
 /// Samples are sorted by (x, y, z): those of a row follow each other.
-void Compiler::fillRows(FormBlock& block, const Coord& lower) const
+Rows Compiler::rowsOf(const Coord& lower) const
 {
+    Rows rows;
     const Topology& topology = *mForm->topology;
     for (int x = 0; x < 9; ++x) {
         for (int y = 0; y < 9; ++y) {
             const Coord begin = lower + Coord(x, y, 0);
-            FormBlock::Row& row = block.row[9 * x + y];
+            Row& row = rows[static_cast<std::size_t>(9 * x + y)];
             if (begin.x > topology.maxLattice.x || begin.y > topology.maxLattice.y) continue;
             // The row may begin before the volume does; keys do not go below its corner.
             const Coord from(begin.x, begin.y, std::max(begin.z, topology.minLattice.z));
@@ -281,6 +320,7 @@ void Compiler::fillRows(FormBlock& block, const Coord& lower) const
             }
         }
     }
+    return rows;
 }
 
 std::int32_t Compiler::compiled(CellId id)
@@ -472,8 +512,8 @@ void Compiler::pack()
     const float scale = mOptions.precision == Precision::Half ? scaleFor(ghosts) : 1.0f;
     f.unscale = 1.0f / scale;
     const std::uint32_t samples = static_cast<std::uint32_t>(mVolume.sampleCount());
-    f.records = AlignedBytes((f.firstGhost + (wide ? 0 : ghostCount)) * f.stride);
-    f.wide = AlignedBytes(wide ? ghostCount * f.wideStride : 0);
+    f.records.resize((f.firstGhost + (wide ? 0 : ghostCount)) * f.stride);
+    f.wide.resize(wide ? ghostCount * f.wideStride : 0);
     const Packer packer(f.layout, mPlain.channels(), scale);
     std::atomic<bool> finite{true};
     tbb::parallel_for(tbb::blocked_range<std::uint32_t>(0, f.firstGhost),
@@ -509,28 +549,23 @@ void Compiler::pack()
 
 } // namespace
 
-AlignedBytes::AlignedBytes(std::size_t size)
-    : mSize(size)
+void* allocateLines(std::size_t bytes)
 {
-    if (size == 0) return;
-    const std::size_t alignment = size >= 2 * kHugePage ? kHugePage : 64;
-    const std::size_t bytes = (size + alignment - 1) / alignment * alignment;
-    mData.reset(static_cast<std::byte*>(std::aligned_alloc(alignment, bytes)));
-    if (!mData) throw std::bad_alloc();
+    const std::size_t alignment = bytes >= 2 * kHugePage ? kHugePage : 64;
+    const std::size_t whole = (bytes + alignment - 1) / alignment * alignment;
+    void* memory = std::aligned_alloc(alignment, whole);
+    if (!memory) throw std::bad_alloc();
 #ifdef __linux__
-    if (alignment == kHugePage) madvise(mData.get(), bytes, MADV_HUGEPAGE);
+    if (alignment == kHugePage) madvise(memory, whole, MADV_HUGEPAGE);
 #endif
-    std::memset(mData.get(), 0, bytes);
+    return memory;
 }
-
-void AlignedBytes::Free::operator()(std::byte* p) const { std::free(p); }
 
 std::size_t SamplerForm::memoryBytes() const
 {
     return records.size() + wide.size() + table.size() * sizeof(table[0])
-        + blocks.size() * sizeof(FormBlock) + heads.size() * sizeof(FormBlockHead)
-        + ids.size() * sizeof(ids[0]) + cells.size() * sizeof(FormCell)
-        + cuts.size() * (sizeof(FormCut) + sizeof(FormCutMore)) + codes.size()
+        + lattices.size() * sizeof(FormLattice) + columns.size() * sizeof(FormColumn)
+        + cells.size() * sizeof(FormCell) + cuts.size() * (sizeof(FormCut) + sizeof(FormCutMore))
         + parentBegin.size() * sizeof(parentBegin[0]) + parents.size() * sizeof(Parent)
         + nodePosition.size() * sizeof(Coord);
 }

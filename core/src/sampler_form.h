@@ -18,6 +18,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <cstdlib>
 #include <memory>
 #include <vector>
 
@@ -62,23 +63,20 @@ struct RecordLayout {
 /// Derivative of each block, bit a for axis a. The first four are what samples have.
 constexpr int kBlockAxes[8] = {0, 1, 2, 4, 3, 5, 6, 7};
 
-/// Zeroed memory aligned to cache lines; large ones to 2 MiB with huge pages asked for, since
-/// random look-ups in small pages miss the TLB more often than the cache.
-class AlignedBytes {
-public:
-    AlignedBytes() = default;
-    explicit AlignedBytes(std::size_t size);
-    std::byte* data() { return mData.get(); }
-    const std::byte* data() const { return mData.get(); }
-    std::size_t size() const { return mSize; }
+/// Memory aligned to cache lines; large pieces to 2 MiB with huge pages asked for, since random
+/// look-ups in small pages miss the TLB more often than the cache. To be freed.
+void* allocateLines(std::size_t bytes);
 
-private:
-    struct Free {
-        void operator()(std::byte* p) const;
-    };
-    std::unique_ptr<std::byte, Free> mData;
-    std::size_t mSize = 0;
+template <class T> struct LineAllocator {
+    using value_type = T;
+    LineAllocator() = default;
+    template <class U> LineAllocator(const LineAllocator<U>&) { }
+    T* allocate(std::size_t n) { return static_cast<T*>(allocateLines(n * sizeof(T))); }
+    void deallocate(T* p, std::size_t) { std::free(p); }
+    bool operator==(const LineAllocator&) const { return true; }
+    bool operator!=(const LineAllocator&) const { return false; }
 };
+template <class T> using LineVector = std::vector<T, LineAllocator<T>>;
 
 /// Where a look-up ends, or goes on. One cache line.
 struct alignas(64) FormCell {
@@ -111,35 +109,32 @@ struct FormCutMore {
     std::int32_t split[8]; ///< by region: first of eight cells, −1: the corners
 };
 
-/// 8³ lattice voxels. Nodes of cells that need nothing special follow from which lattice points are
-/// samples: those of a row along z are numbered one after the other.
-struct FormBlock {
-    struct Row {
-        std::uint32_t first; ///< node of the row's first sample
-        std::uint32_t present; ///< bit z: there is one at z
-    };
-    Row row[81]; ///< at 9x + y, x, y = 0 … 8
+/// The eight voxels (x, y, 0 … 7) of a block of 8³, with all that finds the nodes of their cells:
+/// one cache line. Samples are numbered along z, so that those of a row follow each other. A column
+/// has the four rows of one level's cells; other cells in it are FormCells.
+struct alignas(64) FormColumn {
+    std::uint32_t first[4]; ///< node of the first sample of the rows at the cell's corners 0 … 3
+    std::uint16_t present[4]; ///< bit z: the row has a sample at z, 0 … 8
+    std::uint8_t code[8]; ///< VoxelCode
+    std::int32_t id[8]; ///< of a cut or a cell, where the code says so
 };
 
-/// What of a block is read first; small, so that all of them stay in the cache.
-struct FormBlockHead {
-    /// Where all voxels are plain cells of level 0 and rows lie at equal distances, as in a uniform
-    /// volume: node(x, y, z) = first + x·stepX + y·stepY + z. stepX = 0: ask rows.
+/// Codes of voxels. Below kCutCode: a plain cell of that level (0 … 2); then, of the same levels,
+/// cells that geometry cuts.
+enum VoxelCode : std::uint8_t { kCutCode = 3, kCellCode = 6, kEmptyCode = 7 };
+
+/// A block all of whose voxels are plain cells of level 0 and rows lie at equal distances, as in a
+/// uniform volume: node(x, y, z) = first + x·stepX + y·stepY + z. Small, so that all of them stay
+/// in the cache.
+struct FormLattice {
     std::uint32_t first, stepX, stepY;
-    std::int32_t rows; ///< FormBlock
-    /// Codes of the 512 voxels: codes[512 · codes + voxel]; −1: all are plain cells of level 0.
-    std::int32_t codes;
-    /// ids[512 · ids + voxel]: of a cut or a cell, where the code says so.
-    std::int32_t ids;
 };
-
-/// Codes of voxels; below kCutCode: a plain cell of that level (0 … 2).
-enum VoxelCode : std::uint8_t { kCutCode = 3, kCellCode = 4, kEmptyCode = 5 };
 
 struct SamplerForm {
     static constexpr int kBlockLog2 = 3;
     static constexpr int kBlockSize = 1 << kBlockLog2;
     static constexpr int kBlockVoxels = kBlockSize * kBlockSize * kBlockSize;
+    static constexpr int kColumns = kBlockSize * kBlockSize; ///< of a block
     static constexpr std::int32_t kEmptyBlock = -1;
     /// Points this close to an outer face, in lattice steps, count as on it.
     static constexpr double kFaceTolerance = 1e-6;
@@ -152,21 +147,21 @@ struct SamplerForm {
 
     RecordLayout layout; ///< of samples and ghosts
     std::size_t stride = 0;
-    AlignedBytes records;
+    LineVector<std::byte> records;
     RecordLayout
         wideLayout; ///< of all nodes of split cells, where Hermite data of ghosts is needed
     std::size_t wideStride = 0;
-    AlignedBytes wide;
+    LineVector<std::byte> wide;
 
     Coord blockMin, blockDim;
-    std::vector<std::int32_t> table; ///< ≥ 0: head; kEmptyBlock; ≤ −2: −2 − cell
-    std::vector<FormBlockHead> heads;
-    std::vector<FormBlock> blocks;
-    std::vector<std::int32_t> ids;
-    std::vector<FormCell> cells;
-    std::vector<FormCut> cuts;
+    /// kEmptyBlock; ≤ −2: −2 − cell; else twice the place in lattices, plus one, or twice that of
+    /// kColumns columns, at 8x + y.
+    std::vector<std::int32_t> table;
+    std::vector<FormLattice> lattices;
+    LineVector<FormColumn> columns;
+    LineVector<FormCell> cells;
+    LineVector<FormCut> cuts;
     std::vector<FormCutMore> cutsMore; // of cuts[i]
-    std::vector<std::uint8_t> codes;
     /// Answers where the table would be too large; then cells are numbered as the volume's.
     std::shared_ptr<const Topology> topology;
     bool useTree = false;

@@ -27,8 +27,6 @@ HWY_BEFORE_NAMESPACE();
 namespace lumivdb::detail {
 namespace HWY_NAMESPACE {
 
-namespace hn = hwy::HWY_NAMESPACE;
-
 // Sums are of eight lanes everywhere, multiplications and additions round apart, and all reductions
 // have one order: every target gives the same bits.
 using Lanes = hn::CappedTag<float, 8>;
@@ -55,10 +53,11 @@ template <bool Half, class D> HWY_INLINE hn::Vec<D> loadNumbers(D d, const std::
     }
 }
 
-/// The eight corners' sum of Vectors vectors of D from lane @a first on, to out[first …].
+/// Weights are @a step numbers apart. The eight corners' sum of Vectors vectors of D from lane @a
+/// first on, to out[first …].
 template <int Vectors, bool Half, class D>
-HWY_INLINE void addVectors(D d, const std::byte* const* node, const float* weight, int blocks,
-    int laneCount, int first, float* out)
+HWY_INLINE void addVectors(D d, const std::byte* const* node, const float* weight, int step,
+    int blocks, int laneCount, int first, float* out)
 {
     constexpr int kBytes = Half ? 2 : 4;
     constexpr int kStep = static_cast<int>(hn::MaxLanes(D()));
@@ -67,7 +66,7 @@ HWY_INLINE void addVectors(D d, const std::byte* const* node, const float* weigh
     for (int b = 0; b < blocks; ++b) {
         const int offset = (b * laneCount + first) * kBytes;
         for (int i = 0; i < 8; ++i) {
-            const hn::Vec<D> w = hn::Set(d, weight[8 * b + i]);
+            const hn::Vec<D> w = hn::Set(d, weight[(8 * b + i) * step]);
             const std::byte* record = node[i] + offset;
             for (int v = 0; v < Vectors; ++v) {
                 const hn::Vec<D> x = loadNumbers<Half>(d, record + v * kStep * kBytes);
@@ -79,25 +78,27 @@ HWY_INLINE void addVectors(D d, const std::byte* const* node, const float* weigh
 }
 
 template <int Groups, bool Half, int First = 0>
-HWY_INLINE void addAll(const std::byte* const* node, const float* weight, int blocks, float* out)
+HWY_INLINE void addAll(
+    const std::byte* const* node, const float* weight, int step, int blocks, float* out)
 {
     constexpr int kNow = Groups - First < 4 ? Groups - First : 4;
     // Sixteen lanes at once where there are such vectors: each lane's sum is the same.
     using Wide = hn::CappedTag<float, 16>;
     constexpr int kWide = static_cast<int>(hn::MaxLanes(Wide()));
     if constexpr (kWide == 16 && kNow % 2 == 0) {
-        addVectors<kNow / 2, Half>(Wide(), node, weight, blocks, Groups * 8, First * 8, out);
+        addVectors<kNow / 2, Half>(Wide(), node, weight, step, blocks, Groups * 8, First * 8, out);
     } else {
-        addVectors<kNow * kParts, Half>(Lanes(), node, weight, blocks, Groups * 8, First * 8, out);
+        addVectors<kNow * kParts, Half>(
+            Lanes(), node, weight, step, blocks, Groups * 8, First * 8, out);
     }
     if constexpr (First + kNow < Groups) {
-        addAll<Groups, Half, First + kNow>(node, weight, blocks, out);
+        addAll<Groups, Half, First + kNow>(node, weight, step, blocks, out);
     }
 }
 
 /// Samples and parents of ghosts, by weight over distance.
-template <int Groups, bool Half>
-HWY_NOINLINE void addInverse(const SamplerForm& f, const Query& q, const float* w, float* out)
+template <int Groups, bool Half, class B>
+HWY_NOINLINE void addInverse(const SamplerForm& f, const B& b, int query, float* out)
 {
     std::fill(out, out + 8 * Groups, 0.0f);
     const std::byte* node[8];
@@ -109,14 +110,14 @@ HWY_NOINLINE void addInverse(const SamplerForm& f, const Query& q, const float* 
             weight[i] = 0;
         }
         alignas(64) float part[8 * Groups];
-        addAll<Groups, Half>(node, weight, 1, part);
+        addAll<Groups, Half>(node, weight, 1, 1, part);
         for (int k = 0; k < 8 * Groups; ++k) out[k] += part[k];
         count = 0;
     };
     const auto add = [&](std::uint32_t id, float share) HWY_ATTR {
         if (share == 0) return;
         const Coord& at = f.nodePosition[id];
-        const double x = q.p[0] - at.x, y = q.p[1] - at.y, z = q.p[2] - at.z;
+        const double x = b.p[0][query] - at.x, y = b.p[1][query] - at.y, z = b.p[2][query] - at.z;
         // At a sample its own weight is all.
         const double distance = std::sqrt(x * x + y * y + z * z) + 1e-12;
         node[count] = f.records.data() + id * f.stride;
@@ -124,50 +125,55 @@ HWY_NOINLINE void addInverse(const SamplerForm& f, const Query& q, const float* 
         if (count == 8) flush();
     };
     for (int i = 0; i < 8; ++i) {
-        if (w[i] == 0) continue;
-        const std::uint32_t id = q.nodes[i];
+        const float w = b.weight[i][query];
+        if (w == 0) continue;
+        const std::uint32_t id = nodeAt(f, b.query[query].node[i]);
         if (id < f.firstGhost) {
-            add(id, w[i]);
+            add(id, w);
             continue;
         }
         for (std::uint32_t k = f.parentBegin[id - f.firstGhost];
              k < f.parentBegin[id - f.firstGhost + 1]; ++k)
-            add(f.parents[k].node, w[i] * f.parents[k].share);
+            add(f.parents[k].node, w * f.parents[k].share);
     }
     if (count > 0) flush();
 }
 
 /// Numerators, weight and validity of the prepared query; the weight is never zero.
-template <int Groups, bool Half, Interpolation Mode>
-HWY_INLINE void sumRecords(const SamplerForm& f, Query& q, float* out)
+template <int Groups, bool Half, Interpolation Mode, class B>
+HWY_INLINE void sumRecords(const SamplerForm& f, B& b, int k, float* out)
 {
     constexpr int kWeight = 8 * Groups - 5;
-    HWY_ALIGN float w[64];
-    setWeights<Mode>(f, q, w);
-    if (HWY_UNLIKELY(!f.finite)) avoidInfinite(q, w);
+    Query& q = b.query[k];
     const bool inverse = Mode == kAnyMode && f.options.mode == Interpolation::InverseDistance;
+    if constexpr (Mode == kAnyMode) setOtherWeights(f, b, k);
+    if (HWY_UNLIKELY(!f.finite)) avoidInfinite(b, k);
     for (int attempt = 0; attempt < 2; ++attempt) {
         if (HWY_UNLIKELY(inverse)) {
-            addInverse<Groups, Half>(f, q, w, out);
+            addInverse<Groups, Half>(f, b, k, out);
         } else {
-            addAll<Groups, Half>(q.node, w, blocksOf<Mode>(q), out);
+            addAll<Groups, Half>(q.node, b.weight[0] + k, B::kSize, blocksOf<Mode>(q), out);
         }
         if (HWY_LIKELY(out[kWeight] > kSmallestWeight)) return;
         // On a corner, edge or face without any valid one: look from a little further inside.
-        for (int a = 0; a < 3; ++a) q.t[a] = std::min(std::max(q.t[a], kNudge), 1 - kNudge);
-        setWeights<Mode>(f, q, w);
+        for (int a = 0; a < 3; ++a) b.t[a][k] = std::min(std::max(b.t[a][k], kNudge), 1 - kNudge);
+        setWeights<Mode>(f, b);
+        if constexpr (Mode == kAnyMode) setOtherWeights(f, b, k);
     }
 }
 
 /// Validity by linear weights, where the sums have it by others.
-HWY_NOINLINE float validityOf(const SamplerForm& f, const Query& q)
+template <class B> HWY_NOINLINE float validityOf(const SamplerForm& f, const B& b, int k)
 {
-    float w[8];
+    const Query& q = b.query[k];
+    const hn::CappedTag<float, 1> d;
+    hn::Vec<decltype(d)> t[3], w[8];
+    for (int a = 0; a < 3; ++a) t[a] = hn::Set(d, q.cut ? q.cutT[a] : b.t[a][k]);
+    linearWeights(d, t, w);
     float sum = 0;
-    linearWeights(q.cut ? q.cutT : q.t, w);
     for (int i = 0; i < 8; ++i) {
-        const std::byte* node = f.records.data() + q.nodes[i] * f.stride;
-        sum += w[i] * (q.cut ? q.cut->validity[i] : recordNumber(f, node, f.layout.validityLane()));
+        sum += hn::GetLane(w[i])
+            * (q.cut ? q.cut->validity[i] : recordNumber(f, q.node[i], f.layout.validityLane()));
     }
     return sum;
 }
@@ -279,16 +285,11 @@ HWY_INLINE Color irradianceOf(const SamplerForm& f, const float* sum, const Basi
     return E;
 }
 
-HWY_INLINE void prefetchNodes(const Query& q, std::size_t bytes)
-{
-    for (int i = 0; i < 8; ++i)
-        for (std::size_t at = 0; at < bytes; at += 64) hwy::Prefetch(q.node[i] + at);
-}
-
-template <int Groups, bool Half, Interpolation Mode>
+template <int Groups, bool Half, Interpolation Mode, class B>
 HWY_INLINE void finishIrradiance(
-    const SamplerForm& f, Query& q, const Basis& basis, Color* E, QueryInfo* info)
+    const SamplerForm& f, B& b, int k, const Basis& basis, Color* E, QueryInfo* info)
 {
+    Query& q = b.query[k];
     if (HWY_UNLIKELY(q.level < 0)) {
         *E = Color(std::numeric_limits<float>::quiet_NaN());
         if (info) *info = QueryInfo();
@@ -297,120 +298,119 @@ HWY_INLINE void finishIrradiance(
     alignas(64) float sum[8 * Groups];
     if (info) {
         info->level = q.level;
-        if (HWY_UNLIKELY(hasOwnValidity<Mode>(f, q))) info->validity = validityOf(f, q);
+        if (HWY_UNLIKELY(hasOwnValidity<Mode>(f, q))) info->validity = validityOf(f, b, k);
     }
-    sumRecords<Groups, Half, Mode>(f, q, sum);
+    sumRecords<Groups, Half, Mode>(f, b, k, sum);
     if (info && !hasOwnValidity<Mode>(f, q)) info->validity = sum[8 * Groups - 4];
     *E = irradianceOf<Groups>(f, sum, basis);
 }
 
-/// Lattice positions and voxels of a batch.
-HWY_INLINE void locate(
-    const SamplerForm& f, int count, const Vec3d* p, const Vec3f* n, Query* query)
+template <class B> HWY_INLINE void setPosition(const Vec3d& p, B& b, int i)
 {
-    const double bias = f.options.normalBias;
-    for (int i = 0; i < count; ++i) {
-        Query& q = query[i];
-        toLattice(f, bias == 0 ? p[i] : p[i] + Vec3d(n[i]) * bias, q.p);
-        q.level = -1;
-        q.block = nullptr;
-        q.code = kEmptyCode;
-        if (HWY_UNLIKELY(!isInLattice(q.p))) continue;
-        q.v = Coord(static_cast<int>(std::floor(q.p[0])), static_cast<int>(std::floor(q.p[1])),
-            static_cast<int>(std::floor(q.p[2])));
-        findBlock(f, q);
-    }
+    for (int a = 0; a < 3; ++a) b.p[a][i] = p[a];
 }
 
-/// Each step goes over the whole batch, so that what the next one reads is on its way.
+/// Nodes and weights of the queries whose positions are set. Each step goes over all of them, so
+/// that what the next one reads is on its way.
+template <Interpolation Mode, class B> HWY_INLINE void locate(const SamplerForm& f, int count, B& b)
+{
+    toLattice(f, b);
+    for (int i = 0; i < count; ++i) findColumn(f, voxelOf(b, i), b.query[i]);
+    int special[B::kSize];
+    int specials = 0;
+    for (int i = 0; i < count; ++i) {
+        Query& q = b.query[i];
+        const Coord v = voxelOf(b, i);
+        findCode(v, q);
+        if (HWY_LIKELY(q.code < kCellCode)) {
+            enterRows(f, v, b, i);
+        } else {
+            special[specials++] = i;
+            if (q.code == kCellCode) hwy::Prefetch(f.cells.data() + q.id);
+        }
+    }
+    for (int k = 0; k < specials; ++k) enterSpecial(f, b, special[k]);
+    setPlaces(count, b);
+    setWeights<Mode>(f, b);
+}
+
+template <int Groups, bool Half, Interpolation Mode> HWY_INLINE void prefetchRecords(const Query& q)
+{
+    constexpr std::size_t kBlockBytes = Groups * 8 * (Half ? 2 : 4);
+    if (HWY_UNLIKELY(q.level < 0)) return;
+    const std::size_t bytes = kBlockBytes * static_cast<std::size_t>(blocksOf<Mode>(q));
+    for (const std::byte* node : q.node)
+        for (std::size_t at = 0; at < bytes; at += 64) hwy::Prefetch(node + at);
+}
+
+/// While a batch's records are on their way, the one before is answered.
 template <int Groups, bool Half, Interpolation Mode>
 void irradianceBatch(const SamplerForm& f, std::size_t count, const Vec3d* p, const Vec3f* n,
     Color* E, QueryInfo* info)
 {
-    constexpr std::size_t kBlockBytes = Groups * 8 * (Half ? 2 : 4);
-    Query query[kBatch];
-    Basis basis[kBatch];
-    int special[kBatch];
-    for (std::size_t begin = 0; begin < count; begin += kBatch) {
-        const int size = static_cast<int>(std::min<std::size_t>(kBatch, count - begin));
-        for (int i = 0; i < size; ++i)
-            setBasis(f.bands, f.layout.pad, n[begin + static_cast<std::size_t>(i)], basis[i]);
-        locate(f, size, p + begin, n + begin, query);
-        int specials = 0;
-        for (int i = 0; i < size; ++i) {
-            Query& q = query[i];
-            findCode(f, q);
-            if (q.code < kCutCode) {
-                enterRows(f, static_cast<int>(q.code), q);
-                prefetchNodes(q, kBlockBytes * static_cast<std::size_t>(q.blocks));
-            } else {
-                special[specials++] = i;
-                if (q.code == kCutCode) hwy::Prefetch(f.cuts.data() + q.id);
-                if (q.code == kCellCode) hwy::Prefetch(f.cells.data() + q.id);
-            }
+    using B = Batch<kBatch, rowsOf<Mode>()>;
+    B batches[2];
+    const double bias = f.options.normalBias;
+    const auto prepare = [&](std::size_t begin, B& b) HWY_ATTR {
+        const int size = static_cast<int>(std::min<std::size_t>(B::kSize, count - begin));
+        for (int i = 0; i < B::kSize; ++i) {
+            // The last ones over again, where there are no more.
+            const std::size_t k = begin + static_cast<std::size_t>(std::min(i, size - 1));
+            setPosition(bias == 0 ? p[k] : p[k] + Vec3d(n[k]) * bias, b, i);
         }
-        for (int k = 0; k < specials; ++k) {
-            Query& q = query[special[k]];
-            q.code == kEmptyCode ? enterByFace(f, q) : enterSpecial(f, q);
-            if (q.level >= 0) prefetchNodes(q, kBlockBytes * static_cast<std::size_t>(q.blocks));
-        }
+        locate<Mode>(f, size, b);
+        return size;
+    };
+    int size = prepare(0, batches[0]);
+    for (int i = 0; i < size; ++i) prefetchRecords<Groups, Half, Mode>(batches[0].query[i]);
+    for (std::size_t begin = 0, which = 0; begin < count; begin += kBatch, which ^= 1) {
+        B& now = batches[which];
+        B& next = batches[which ^ 1];
+        const int nextSize = begin + kBatch < count ? prepare(begin + kBatch, next) : 0;
         for (int i = 0; i < size; ++i) {
+            if (i < nextSize) prefetchRecords<Groups, Half, Mode>(next.query[i]);
             const std::size_t k = begin + static_cast<std::size_t>(i);
+            Basis basis;
+            setBasis(f.bands, f.layout.pad, n[k], basis);
             finishIrradiance<Groups, Half, Mode>(
-                f, query[i], basis[i], E + k, info ? info + k : nullptr);
+                f, now, i, basis, E + k, info ? info + k : nullptr);
         }
-    }
-}
-
-HWY_INLINE void enterOne(const SamplerForm& f, Query& q)
-{
-    findCode(f, q);
-    if (HWY_LIKELY(q.code < kCutCode)) {
-        enterRows(f, static_cast<int>(q.code), q);
-    } else {
-        q.code == kEmptyCode ? enterByFace(f, q) : enterSpecial(f, q);
+        size = nextSize;
     }
 }
 
 template <int Groups, bool Half, Interpolation Mode>
 void irradianceOne(const SamplerForm& f, const Vec3d& p, const Vec3f& n, Color* E, QueryInfo* info)
 {
-    constexpr std::size_t kBlockBytes = Groups * 8 * (Half ? 2 : 4);
-    Query q;
-    Basis basis;
-    locate(f, 1, &p, &n, &q);
-    enterOne(f, q);
+    Batch<1, rowsOf<Mode>()> b;
+    const double bias = f.options.normalBias;
+    setPosition(bias == 0 ? p : p + Vec3d(n) * bias, b, 0);
+    locate<Mode>(f, 1, b);
     // All records are asked for at once; until they are there the basis is made, whose numbers are
     // written one by one and read eight at a time, which takes a while.
-    if (q.level >= 0) prefetchNodes(q, kBlockBytes * static_cast<std::size_t>(q.blocks));
+    prefetchRecords<Groups, Half, Mode>(b.query[0]);
+    Basis basis;
     setBasis(f.bands, f.layout.pad, n, basis);
-    finishIrradiance<Groups, Half, Mode>(f, q, basis, E, info);
+    finishIrradiance<Groups, Half, Mode>(f, b, 0, basis, E, info);
 }
 
 template <int Groups, bool Half, Interpolation Mode>
 QueryInfo radianceAt(const SamplerForm& f, const Vec3d& p, Color* L)
 {
-    Query q;
+    Batch<1, rowsOf<Mode>()> b;
     QueryInfo info;
     const int n = f.layout.coefficients;
-    toLattice(f, p, q.p);
-    q.level = -1;
-    q.block = nullptr;
-    q.code = kEmptyCode;
-    if (isInLattice(q.p)) {
-        q.v = Coord(static_cast<int>(std::floor(q.p[0])), static_cast<int>(std::floor(q.p[1])),
-            static_cast<int>(std::floor(q.p[2])));
-        findBlock(f, q);
-    }
-    enterOne(f, q);
+    setPosition(p, b, 0);
+    locate<Mode>(f, 1, b);
+    const Query& q = b.query[0];
     if (q.level < 0) {
         std::fill(L, L + n, Color(std::numeric_limits<float>::quiet_NaN()));
         return info;
     }
     alignas(64) float sum[8 * Groups];
     info.level = q.level;
-    if (hasOwnValidity<Mode>(f, q)) info.validity = validityOf(f, q);
-    sumRecords<Groups, Half, Mode>(f, q, sum);
+    if (hasOwnValidity<Mode>(f, q)) info.validity = validityOf(f, b, 0);
+    sumRecords<Groups, Half, Mode>(f, b, 0, sum);
     if (!hasOwnValidity<Mode>(f, q)) info.validity = sum[8 * Groups - 4];
     const float scale = f.unscale / sum[8 * Groups - 5];
     for (int i = 0; i < n; ++i)
@@ -422,8 +422,8 @@ template <int Groups, bool Half, Interpolation Mode>
 void irradianceMany(const SamplerForm& f, std::size_t count, const Vec3d* p, const Vec3f* n,
     Color* E, QueryInfo* info)
 {
-    count == 1 ? irradianceOne<Groups, Half, Mode>(f, *p, *n, E, info)
-               : irradianceBatch<Groups, Half, Mode>(f, count, p, n, E, info);
+    if (count == 1) return irradianceOne<Groups, Half, Mode>(f, *p, *n, E, info);
+    if (count > 1) irradianceBatch<Groups, Half, Mode>(f, count, p, n, E, info);
 }
 
 template <bool Half>
