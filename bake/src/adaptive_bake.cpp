@@ -139,6 +139,7 @@ private:
     void drawPoints(std::size_t count, std::uint64_t key, EvaluateOptions& evaluate) const;
     double nextThreshold(double threshold) const;
     void summarise(double threshold, int rounds);
+    void warnOfPointLights();
 
     IrradianceVolume build(const std::vector<CellKey>& cells) const;
     static void limitGradients(IrradianceVolume& volume);
@@ -365,6 +366,24 @@ void AdaptiveBake::summarise(double threshold, int rounds)
                 ? " What " + std::to_string(mPlan.samples.bands) + " bands leave out alone is "
                     + percentText(mPlan.truncation) + "."
                 : ""));
+    warnOfPointLights();
+}
+
+/// E² goes as 1/d⁴ around them, whose mean over space is infinite.
+void AdaptiveBake::warnOfPointLights()
+{
+    if (mOptions.probe.contribution == Contribution::Indirect) return;
+    for (const Light& light : mTracer.scene().lights) {
+        const Vec3d p = light.position / mPlan.samples.spacing;
+        bool inside = light.type != LightType::Directional;
+        for (int a = 0; a < 3; ++a)
+            inside = inside && p[a] >= mPlan.box.lower[a] && p[a] <= mPlan.box.upper[a];
+        if (!inside) continue;
+        mReport.warnings.push_back("The light '" + light.name
+            + "' lies inside the bounds, and the squared irradiance around a point has no finite "
+              "mean: bake indirect light, or keep it out of the bounds.");
+        return;
+    }
 }
 
 /// Where the samples end before a round does, the lowest threshold that they suffice for.

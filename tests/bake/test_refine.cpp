@@ -233,6 +233,31 @@ TEST_CASE("a target out of reach is said to be, and the volume is there", "[refi
     CHECK(r.volume.bands() == 2);
 }
 
+TEST_CASE("a target says where a point light makes it meaningless", "[refine][target]")
+{
+    const auto warned = [](const Vec3d& position, Contribution contribution) {
+        Scene scene = litRoom();
+        Light lamp;
+        lamp.name = "bulb";
+        lamp.position = position;
+        scene.lights.push_back(lamp);
+        BakeOptions o;
+        o.bounds = Box3d(Vec3d(0.0), Vec3d(1.0));
+        o.bands = 2;
+        o.target.error = 0.001;
+        o.target.chooseRays = false;
+        o.target.maxSamples = 1000;
+        o.probe.rays = 16;
+        o.probe.contribution = contribution;
+        const BakeReport report = bakeVolume(*makeTracer(std::move(scene)), o).report;
+        return std::any_of(report.warnings.begin(), report.warnings.end(),
+            [](const std::string& w) { return w.find("'bulb'") != std::string::npos; });
+    };
+    CHECK(warned({0.5, 0.5, 0.5}, Contribution::All));
+    CHECK_FALSE(warned({0.5, 0.5, 0.5}, Contribution::Indirect));
+    CHECK_FALSE(warned({1.5, 0.5, 1.5}, Contribution::All));
+}
+
 TEST_CASE("refinement options that make no sense are refused", "[refine][error]")
 {
     const auto refused = [](auto change) {
