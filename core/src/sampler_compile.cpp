@@ -80,7 +80,7 @@ private:
     Rows rowsOf(const Coord& lower) const;
     bool usesRows(CellId id);
     void fillColumn(const Inside* inside, const Rows& rows, const Coord& voxel, FormColumn& out);
-    bool isPlain(CellId id);
+    bool isPlain(CellId id) const;
     std::int32_t partAt(std::int32_t target, const Cell& cell, const Coord& voxel) const;
     std::int32_t compiled(CellId id);
     void compileCell(CellId id, FormCell& out);
@@ -99,7 +99,6 @@ private:
     std::vector<SampleId> mRaw; // samples with a second, valid node
     std::vector<std::uint32_t> mRawOf; // sample → its second node, 0: none
     std::vector<std::int32_t> mCompiled; // volume's cell → form's, −1: not yet
-    std::vector<std::int8_t> mIsPlain; // by cell, −1: not known yet; voxels ask many times
     std::unique_ptr<GhostBuilder> mGhosts;
 };
 
@@ -142,7 +141,6 @@ std::shared_ptr<const SamplerForm> Compiler::run()
     mGhosts
         = std::make_unique<GhostBuilder>(mVolume, mOptions, mPlain, wide ? 0 : mForm->firstGhost);
     mCompiled.assign(mVolume.cellCount(), -1);
-    mIsPlain.assign(mVolume.cellCount(), -1);
     makeTable();
     if (mForm->useTree) {
         mForm->cells.resize(mVolume.cellCount());
@@ -291,15 +289,11 @@ std::int32_t Compiler::partAt(std::int32_t target, const Cell& cell, const Coord
 }
 
 /// Nothing but eight corners: no wall, no finer neighbour, not without any valid corner.
-bool Compiler::isPlain(CellId id)
+bool Compiler::isPlain(CellId id) const
 {
-    std::int8_t& known = mIsPlain[static_cast<std::size_t>(id)];
-    if (known < 0) {
-        const Cell& cell = mVolume.cell(id);
-        known = !mVolume.visibility(id) && validCorners(mVolume, cell) != 0
-            && !(splits() && GhostBuilder::touchesFiner(mVolume, cell));
-    }
-    return known != 0;
+    const Cell& cell = mVolume.cell(id);
+    return !mVolume.visibility(id) && validCorners(mVolume, cell) != 0
+        && !(splits() && GhostBuilder::touchesFiner(mVolume, cell));
 }
 
 /// Samples are sorted by (x, y, z): those of a row follow each other.
