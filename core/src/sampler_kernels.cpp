@@ -35,7 +35,7 @@ constexpr int kLanes = static_cast<int>(hn::MaxLanes(Lanes())); // 8, 4 or (no S
 constexpr int kParts = 8 / kLanes;
 
 /// Queries in flight at once: enough to hide memory's latency, few enough to stay in the cache.
-constexpr int kBatch = 16;
+constexpr int kBatch = 32;
 /// A denominator below has no digits left.
 constexpr float kSmallestWeight = 1e-37f;
 /// Distance in cells to keep from a corner where the weights of all valid ones vanish.
