@@ -52,7 +52,8 @@ using Lanes = hn::CappedTag<float, 8>;
 using Vector = hn::Vec<Lanes>;
 constexpr int kLanes = static_cast<int>(hn::MaxLanes(Lanes()));
 constexpr int kVectors = kRecordLanes / kLanes;
-constexpr int kBatch = 16;
+/// Queries whose records are asked for while an earlier one is answered.
+constexpr std::size_t kAhead = 16;
 
 struct Query {
     const std::byte* node[8];
@@ -133,12 +134,11 @@ template <bool Half>
 void denseBatch(
     const DenseArray::Impl& d, std::size_t count, const Vec3d* p, const Vec3f* n, Color* E)
 {
-    Query query[kBatch];
-    for (std::size_t begin = 0; begin < count; begin += kBatch) {
-        const std::size_t size = std::min<std::size_t>(kBatch, count - begin);
-        for (std::size_t i = 0; i < size; ++i) prepare(d, p[begin + i], query[i]);
-        for (std::size_t i = 0; i < size; ++i)
-            E[begin + i] = finish<Half>(d, query[i], n[begin + i]);
+    Query ring[kAhead];
+    for (std::size_t k = 0; k < count + kAhead; ++k) {
+        Query& q = ring[k % kAhead];
+        if (k >= kAhead) E[k - kAhead] = finish<Half>(d, q, n[k - kAhead]);
+        if (k < count) prepare(d, p[k], q);
     }
 }
 
