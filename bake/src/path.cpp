@@ -3,6 +3,8 @@
 
 #include "directions.h"
 
+#include <lumivdb/bake/radiance_cache.h>
+
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -99,7 +101,11 @@ void PathTracer::trace(const Vec3f& p, const Vec3f* directions, std::uint64_t fi
     note(result.rays, false);
     result.traced += static_cast<std::uint64_t>(count);
     startPaths(p, first, count, key, result);
-    if (mOptions.contribution == Contribution::Direct) return;
+    if (mOptions.contribution == Contribution::Direct || mOptions.maxBounces == 0) return;
+    if (mOptions.cache) {
+        lookUp(result);
+        return;
+    }
     for (int bounce = 1; mPathCount > 0; ++bounce) {
         if (mOptions.maxBounces >= 0 && bounce > mOptions.maxBounces) break;
         reflectFromEmitters(result);
@@ -183,6 +189,52 @@ void PathTracer::addUnoccluded(PathBatchResult& result)
     result.traced += static_cast<std::uint64_t>(mShadow.count);
     for (int j = 0; j < mShadow.count; ++j) {
         if (!mOccluded[j]) result.uniform[mShadowStratum[j]] += mShadowValue[j];
+    }
+}
+
+/// Reflected light at the surfaces seen, from the cache, and straight from the emitters where the
+/// cache leaves that out: found by both strategies, but nothing goes on from what a ray meets.
+void PathTracer::lookUp(PathBatchResult& result)
+{
+    int mixed = 0;
+    for (int j = 0; j < mPathCount; ++j) {
+        const SurfacePoint& s = mPaths[j].surface;
+        const RadianceCache::Light light = mOptions.cache->at(s.triangle, s.u, s.v, s.behind);
+        result.uniform[mPaths[j].stratum] += s.albedo * light.irradiance * (1 / kPi);
+        if (light.mixed) mPaths[mixed++] = mPaths[j];
+    }
+    mPathCount = mixed;
+    if (mixed == 0) return;
+    reflectFromEmitters(result);
+    reflectFromPunctual(result);
+    scatter(1, result);
+}
+
+void PathTracer::gather(const SurfacePoint* points, const Vec2f* square, const std::uint64_t* keys,
+    int count, PathBatchResult& result)
+{
+    mPathCount = count;
+    result.traced = 0;
+    for (int i = 0; i < count; ++i) {
+        result.uniform[i] = Color(0.0f);
+        Path& path = mPaths[i];
+        path.surface = points[i];
+        path.surface.albedo = path.throughput = Color(1.0f);
+        path.stratum = i;
+        path.rng = CounterRng(keys[i]);
+    }
+    reflectFromEmitters(result);
+    reflectFromPunctual(result);
+    mNext.count = 0;
+    for (int i = 0; i < count; ++i) {
+        const Vec3f d = cosineDirection(points[i].normal, square[i].x, square[i].y);
+        mNext.push(points[i].leaving(), d, kInfinity);
+    }
+    intersectCoherent(mImpl, mNext, mNextHits);
+    follow(result);
+    mSeen.clear();
+    for (int j = 0; j < mPathCount; ++j) {
+        mSeen.push_back({mPaths[j].surface, mPaths[j].stratum, mPaths[j].distance});
     }
 }
 
@@ -286,11 +338,16 @@ void PathTracer::scatter(int bounce, PathBatchResult& result)
         mPaths[alive++] = path;
     }
     intersectSingle(mImpl, mNext, mNextHits);
+    follow(result);
+}
+
+/// Adds what the rays mNext of mPaths bring, and moves those paths to what they met.
+void PathTracer::follow(PathBatchResult& result)
+{
     note(mNext, false);
     result.traced += static_cast<std::uint64_t>(mNext.count);
-
     mPathCount = 0;
-    for (int j = 0; j < alive; ++j) {
+    for (int j = 0; j < mNext.count; ++j) {
         Path path = mPaths[j];
         const Vec3f d = mNext.direction(j);
         const double cosinePdf = std::max(0.0f, path.surface.normal.dot(d)) / kPi;
@@ -313,6 +370,7 @@ void PathTracer::scatter(int bounce, PathBatchResult& result)
         }
         if (maxComponent(s.albedo) <= 0) continue;
         path.surface = s;
+        path.distance = mNextHits.t[j];
         mPaths[mPathCount++] = path;
     }
 }

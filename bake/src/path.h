@@ -59,6 +59,20 @@ public:
     void trace(const Vec3f& p, const Vec3f* directions, std::uint64_t first, int count,
         std::uint64_t key, PathBatchResult& result);
 
+    /// For each of @a points one sample of the light it receives: result.uniform[i] is what arrives
+    /// straight from emitters and lights, E/π, and along a cosine-distributed ray (Malley's map of
+    /// square[i]) lies seen()[j], j the place of i in it. count ≤ kBatch.
+    /// The random numbers of point i come from keys[i].
+    void gather(const SurfacePoint* points, const Vec2f* square, const std::uint64_t* keys,
+        int count, PathBatchResult& result);
+    /// What the rays of gather() met and reflects light: the point it came from, and where it met.
+    struct Seen {
+        SurfacePoint surface;
+        int from;
+        float distance;
+    };
+    const std::vector<Seen>& seen() const { return mSeen; }
+
     /// The light number @a light at @a p: irradiance on a surface facing it, 0 where shadowed.
     /// Counts its shadow ray in @a traced.
     PunctualSample punctual(std::size_t light, const Vec3f& p, std::uint64_t& traced) const;
@@ -70,6 +84,7 @@ private:
     struct Path {
         SurfacePoint surface;
         Color throughput;
+        float distance; ///< of the surface from where the path came
         int stratum;
         CounterRng rng{0};
     };
@@ -80,6 +95,8 @@ private:
     void reflectFromEmitters(PathBatchResult& result);
     void reflectFromPunctual(PathBatchResult& result);
     void scatter(int bounce, PathBatchResult& result);
+    void follow(PathBatchResult& result);
+    void lookUp(PathBatchResult& result);
     void addUnoccluded(PathBatchResult& result);
     bool choosePunctual(const SurfacePoint& s, CounterRng& rng, PunctualSample& light);
 
@@ -97,6 +114,7 @@ private:
     std::uint8_t mOccluded[kBatch];
     RayBatch mNext;
     HitBatch mNextHits;
+    std::vector<Seen> mSeen;
 };
 
 } // namespace lumivdb

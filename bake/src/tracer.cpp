@@ -272,11 +272,13 @@ SurfacePoint Tracer::Impl::surfaceAt(
     s.offset = rayOffset(a, b, c);
     s.emitter = t.emitter;
     s.triangle = triangle;
-    const bool behind = s.normal.dot(rayDirection) > 0;
-    if (behind) s.normal = -s.normal;
-    s.backFace = behind && !material.doubleSided;
+    s.u = u;
+    s.v = v;
+    s.behind = s.normal.dot(rayDirection) > 0;
+    if (s.behind) s.normal = -s.normal;
+    s.backFace = s.behind && !material.doubleSided;
     s.albedo = s.backFace ? Color(0.0f) : albedoAt(t, u, v, nullptr);
-    const bool dark = t.emitter < 0 || s.backFace || (behind && material.emitsFrontOnly);
+    const bool dark = t.emitter < 0 || s.backFace || (s.behind && material.emitsFrontOnly);
     s.emission = dark ? Color(0.0f) : emissionAt(t, u, v);
     return s;
 }

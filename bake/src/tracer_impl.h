@@ -25,6 +25,8 @@ struct SurfacePoint {
     bool backFace; ///< the ray met the back of a single-sided surface
     int emitter; ///< index into the emitter table, −1: does not emit
     std::uint32_t triangle; ///< into Tracer::Impl::triangles
+    float u, v; ///< where on it
+    bool behind; ///< seen from the side opposite to the triangle's front
 
     Vec3f leaving() const { return position + normal * offset; }
 };

@@ -25,6 +25,7 @@
 namespace lumivdb {
 
 struct GradientTables; // bake/src/gradient.h
+class RadianceCache; // radiance_cache.h
 
 enum class Contribution {
     All,
@@ -47,6 +48,9 @@ struct ProbeOptions {
     int maxBounces = -1; ///< reflections along a path; 0: direct light only; −1: no limit
     Contribution contribution = Contribution::All;
     std::uint64_t seed = 1;
+    /// Ends paths at the first surface they meet, with the light kept there (of this tracer, solved
+    /// with the same maxBounces): the `cached` integrator. Null: `path`, unbiased.
+    std::shared_ptr<const RadianceCache> cache;
     /// @throws Error(Usage) naming the field, its value and the range.
     void validate() const;
 };

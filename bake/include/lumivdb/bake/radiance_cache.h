@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+/// @file radiance_cache.h
+/// The light that every surface of a scene gives off, solved once: the `cached` integrator.
+///
+/// A static Lambertian scene has one radiance per surface point, whoever looks. So the surfaces are
+/// cut into patches (bake/src/surface_patches.h), each with one irradiance, and what a ray from a
+/// probe sees is the surface's own emission and albedo, textures and all, times the patch's light:
+/// one ray instead of a path. Solved by *gathering*: from places spread over each patch, cosine-
+/// distributed rays find the patches that light it, shadow rays the direct light; what the rays met
+/// is kept as the rows of a sparse linear system E = D + T E (radiosity with form factors from
+/// rays: Cohen & Wallace, "Radiosity and Realistic Image Synthesis", 1993, ch. 4–5), which is
+/// iterated to a residual without tracing again: any albedo below 1 converges.
+///
+/// Patches are divided where rays come near them (larger than a share of the ray's length: corners,
+/// small rooms in large scenes) and where direct light changes across them. Where it still changes
+/// in the smallest ones (edges of shadows and of sunlight), the cache keeps reflected light alone
+/// and probes look for direct light at each place they see, as a path would.
+///
+/// Biased: light is constant over a patch, and the noise of the solution is common to all probes.
+/// measureCacheBias() tells how much.
+
+#include <lumivdb/bake/tracer.h>
+
+#include <cstdint>
+#include <memory>
+
+namespace lumivdb {
+
+struct RadianceCacheOptions {
+    int maxBounces = -1; ///< as ProbeOptions::maxBounces
+    std::uint64_t seed = 1;
+    std::size_t patches = 16384; ///< about how many to begin with, by area; 64 … 2^24
+    std::size_t maxPatches = std::size_t{1} << 20; ///< dividing stops there: 1 KiB each
+    int rays = 64; ///< per patch
+    double nearness = 0.5; ///< patches are divided where longer than this share of a ray to them
+    double residual = 1e-5; ///< of the solution: Σ|E − D − TE| / Σ E, by area
+    /// @throws Error(Usage) naming the field, its value and the range.
+    void validate() const;
+};
+
+struct RadianceCacheReport {
+    std::size_t patches = 0; ///< that hold light
+    std::size_t mixed = 0; ///< of those, with direct light looked for at each place
+    std::uint64_t rays = 0; ///< shadow rays included
+    std::size_t bytes = 0; ///< most held at once while solving
+    int iterations = 0;
+    double residual = 0; ///< reached
+    bool full = false; ///< dividing stopped at maxPatches
+    double seconds = 0;
+};
+
+/// Immutable once solved; threads share it. Refers to the tracer.
+class RadianceCache {
+public:
+    /// Same inputs, same bits, for any number of threads. @throws Error(Usage), Error(Interrupted);
+    /// Error(Input) where the scene falls into more than maxPatches separate pieces.
+    RadianceCache(const Tracer& tracer, const RadianceCacheOptions& options,
+        Progress* progress = nullptr);
+    ~RadianceCache();
+
+    const RadianceCacheOptions& options() const { return mOptions; }
+    const RadianceCacheReport& report() const { return mReport; }
+
+    /// Light at a place of a triangle's side (Tracer::Impl's numbers), over the patch it lies in.
+    struct Light {
+        Color irradiance; ///< without what arrives straight from emitters and lights where `mixed`
+        bool mixed;
+    };
+    Light at(std::uint32_t triangle, float u, float v, bool behind) const;
+
+private:
+    friend class CacheSolver;
+    RadianceCacheOptions mOptions;
+    RadianceCacheReport mReport;
+    struct Impl;
+    std::unique_ptr<Impl> mImpl;
+};
+
+} // namespace lumivdb

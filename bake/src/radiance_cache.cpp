@@ -1,0 +1,501 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <lumivdb/bake/radiance_cache.h>
+
+#include "directions.h"
+#include "path.h"
+#include "surface_patches.h"
+
+#include <lumivdb/core/error.h>
+
+#include <tbb/blocked_range.h>
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <chrono>
+#include <cmath>
+
+namespace lumivdb {
+
+namespace {
+
+constexpr float kPi = 3.14159265358979323846f;
+/// Rays of a patch while it is decided which ones to divide.
+constexpr int kScouts = 16;
+/// Rays of the smallest patches when it is solved.
+constexpr int kLeast = 8;
+/// Times that new patches send scouts of their own.
+static int kRounds = getenv("RND") ? atoi(getenv("RND")) : 3;
+static std::uint32_t kEnough = getenv("ENO") ? atoi(getenv("ENO")) : 4;
+/// Scouts that must come near a patch before it is divided.
+/// Direct light differs between a patch's quarters by this share of its mean: divided, or mixed.
+constexpr double kContrast = 0.5;
+/// The same as a share of the scene's mean, below which nobody will notice.
+constexpr double kContrastOfScene = 0.1;
+/// Patches are not divided for contrast below this share of the size they began with.
+constexpr float kSmallest = 1 / 8.0f;
+constexpr int kMaxIterations = 10000;
+
+/// Means of direct light over the quarters of a patch.
+struct Quarters {
+    double sum[4] = {}, squares[4] = {};
+    int count[4] = {};
+
+    void add(int quarter, double value)
+    {
+        sum[quarter] += value;
+        squares[quarter] += value * value;
+        ++count[quarter];
+    }
+    double mean() const
+    {
+        const int n = count[0] + count[1] + count[2] + count[3];
+        return n > 0 ? (sum[0] + sum[1] + sum[2] + sum[3]) / n : 0;
+    }
+    /// Difference between the brightest and the darkest, two standard errors taken off.
+    double contrast() const
+    {
+        double low = 1e300, high = -1e300, lowVariance = 0, highVariance = 0;
+        for (int q = 0; q < 4; ++q) {
+            if (count[q] < 2) continue;
+            const double n = count[q], m = sum[q] / n;
+            const double variance = std::max(0.0, squares[q] / n - m * m) / (n - 1);
+            if (m < low) low = m, lowVariance = variance;
+            if (m > high) high = m, highVariance = variance;
+        }
+        return std::max(0.0, high - low - 2 * std::sqrt(lowVariance + highVariance));
+    }
+    bool changes(double sceneMean) const
+    {
+        return contrast() > std::max(kContrast * mean(), kContrastOfScene * sceneMean);
+    }
+};
+
+/// A ray that met a patch longer than the allowed share of its length.
+struct Near {
+    std::uint32_t triangle;
+    float u, v, distance;
+    bool behind;
+};
+
+/// A patch's light comes from @a patch, times albedo in 1/65535.
+struct Link {
+    std::uint32_t patch;
+    std::uint16_t albedo[3];
+};
+
+struct Worker {
+    explicit Worker(const Tracer::Impl& impl)
+        : paths(std::make_unique<PathTracer>(impl, options))
+        , batch(std::make_unique<PathBatchResult>())
+    {
+    }
+    Worker(const Worker&) = delete;
+    Worker& operator=(const Worker&) = delete;
+    ProbeOptions options;
+    std::unique_ptr<PathTracer> paths;
+    std::unique_ptr<PathBatchResult> batch;
+    SurfacePoint points[kBatch];
+    Vec2f square[kBatch];
+    std::uint64_t keys[kBatch];
+    std::uint64_t rays = 0;
+
+    void gather(int count)
+    {
+        paths->gather(points, square, keys, count, *batch);
+        rays += batch->traced;
+    }
+};
+
+float frac(double x) { return std::min(static_cast<float>(x - std::floor(x)), 0x1.fffffep-1f); }
+
+} // namespace
+
+struct RadianceCache::Impl {
+    explicit Impl(const Tracer::Impl& impl, double size)
+        : patches(impl, size)
+    {
+    }
+    SurfacePatches patches;
+    std::vector<Light> light; ///< by patch
+};
+
+class CacheSolver {
+public:
+    CacheSolver(const Tracer& tracer, RadianceCache& cache, Progress* progress)
+        : mTracer(tracer.impl())
+        , mOptions(cache.mOptions)
+        , mReport(cache.mReport)
+        , mProgress(progress)
+    {
+        cache.mImpl = std::make_unique<RadianceCache::Impl>(mTracer, startSize());
+        mPatches = &cache.mImpl->patches;
+        divide();
+        gather();
+        iterate();
+        finish(cache.mImpl->light);
+    }
+
+private:
+    using Id = SurfacePatches::Id;
+
+    double startSize()
+    {
+        double area = 0;
+        for (const auto& t : mTracer.triangles) {
+            const Vec3f &a = mTracer.vertices[t.vertex[0]], &b = mTracer.vertices[t.vertex[1]],
+                        &c = mTracer.vertices[t.vertex[2]];
+            area += (mTracer.materialOf(t).doubleSided ? 1.0 : 0.5) * (b - a).cross(c - a).length();
+        }
+        mSize = std::sqrt(area / static_cast<double>(mOptions.patches));
+        return mSize;
+    }
+
+    std::vector<Id> undivided(Id from = 0) const
+    {
+        std::vector<Id> ids;
+        for (Id id = from; id < mPatches->size(); ++id) {
+            if (!mPatches->divided(id)) ids.push_back(id);
+        }
+        return ids;
+    }
+
+    /// Takes rays(i) samples of every patch ids[i], by any thread. @a each(i, worker, first, seen):
+    /// its samples are worker.batch's from `first` on, what they saw begins at `seen`.
+    template <class Rays, class Each>
+    void sample(const std::vector<Id>& ids, const Rays& rays, const Each& each)
+    {
+        // Blocks are the same for any number of threads, so the same rays share a packet.
+        constexpr std::size_t kBlock = 64;
+        const std::size_t blocks = (ids.size() + kBlock - 1) / kBlock;
+        tbb::enumerable_thread_specific<std::unique_ptr<Worker>> workers;
+        std::atomic<bool> stop{false};
+        if (mProgress) mProgress->begin("light of the surfaces", ids.size());
+        tbb::parallel_for(std::size_t{0}, blocks, [&](std::size_t block) {
+            auto& worker = workers.local();
+            if (!worker) worker = std::make_unique<Worker>(mTracer);
+            if (stop || (mProgress && mProgress->cancelled())) {
+                stop = true;
+                return;
+            }
+            const std::size_t last = std::min(ids.size(), (block + 1) * kBlock);
+            for (std::size_t i = block * kBlock; i < last;) {
+                const std::size_t first = i;
+                int count = 0;
+                for (; i < last && count + rays(i) <= kBatch; ++i) {
+                    place(ids[i], rays(i), count, *worker);
+                    count += rays(i);
+                }
+                worker->gather(count);
+                auto seen = worker->paths->seen().begin();
+                count = 0;
+                for (std::size_t k = first; k < i; ++k) {
+                    const int end = count + rays(k);
+                    const auto begin = seen;
+                    while (seen != worker->paths->seen().end() && seen->from < end) ++seen;
+                    each(k, *worker, count, begin, seen);
+                    count = end;
+                }
+            }
+            if (mProgress) mProgress->advance(last - block * kBlock);
+        });
+        if (stop) throw Error(ErrorCode::Interrupted, "The bake was interrupted.");
+        for (const auto& worker : workers) mReport.rays += worker->rays;
+    }
+
+    /// Places by a Kronecker sequence of the generalised golden ratio, directions along a Hilbert
+    /// curve over the hemisphere, so that neighbouring rays are alike; both shifted at random.
+    void place(Id id, int rays, int first, Worker& w) const
+    {
+        constexpr double kGolden = 1.2207440846057596; // x⁴ = x + 1
+        const std::uint64_t key = hashCombine(
+            hashCombine(mOptions.seed, static_cast<std::uint64_t>(rays)), mPatches->key(id));
+        CounterRng rng(key);
+        const double shift[3] = {rng.nextDouble(), rng.nextDouble(), rng.nextDouble()};
+        for (int k = 0; k < rays; ++k) {
+            const float choice = frac(shift[2] + k / (kGolden * kGolden * kGolden));
+            const Vec2f square(
+                frac(shift[0] + k / kGolden), frac(shift[1] + k / (kGolden * kGolden)));
+            w.points[first + k] = mPatches->sample(id, square, choice);
+            w.square[first + k] = Vec2f(hilbertPoint((k + rng.nextDouble()) / rays));
+            w.keys[first + k] = hashCombine(key, static_cast<std::uint64_t>(k));
+        }
+    }
+
+    Quarters quartersOf(Id id, int first, int rays, const Worker& w) const
+    {
+        Quarters q;
+        for (int k = first; k < first + rays; ++k) {
+            q.add(mPatches->quarterOf(id, w.points[k].position),
+                static_cast<double>(luminance(w.batch->uniform[k])));
+        }
+        return q;
+    }
+
+    void divide()
+    {
+        std::vector<Id> fresh = undivided();
+        limitPieces(fresh.size());
+        for (int round = 0; round < kRounds && !fresh.empty() && !mReport.full; ++round) {
+            std::vector<Quarters> direct(fresh.size());
+            std::vector<std::vector<Near>> near(fresh.size());
+            const auto scouts = [](std::size_t) { return kScouts; };
+            sample(fresh, scouts, [&](std::size_t i, Worker& w, int at, auto seen, auto end) {
+                direct[i] = quartersOf(fresh[i], at, kScouts, w);
+                for (; seen != end; ++seen) {
+                    const SurfacePoint& s = seen->surface;
+                    const Near n{s.triangle, s.u, s.v, seen->distance, s.behind};
+                    if (isNear(n)) near[i].push_back(n);
+                }
+            });
+            if (round == 0) meanDirect(fresh, direct);
+            for (const auto& n : near) mNear.insert(mNear.end(), n.begin(), n.end());
+            mMade.clear();
+            const auto first = static_cast<Id>(mPatches->size());
+            for (std::size_t i = 0; i < fresh.size(); ++i) {
+                const bool large = mPatches->extent(fresh[i]) > kSmallest * static_cast<float>(mSize);
+                if (large && direct[i].changes(mSceneMean)) cut(fresh[i]);
+            }
+            divideNear();
+            std::vector<Id> next = mMade;
+            const std::vector<Id> added = undivided(first);
+            next.insert(next.end(), added.begin(), added.end());
+            std::sort(next.begin(), next.end());
+            next.erase(std::unique(next.begin(), next.end()), next.end());
+            fresh.clear();
+            for (const Id id : next) {
+                if (!mPatches->divided(id)) fresh.push_back(id);
+            }
+        }
+        mNear = std::vector<Near>();
+    }
+
+    void limitPieces(std::size_t pieces) const
+    {
+        if (pieces <= mOptions.maxPatches) return;
+        throw Error(ErrorCode::Input,
+            "The radiance cache would need " + std::to_string(pieces)
+                + " patches to begin with, the limit is " + std::to_string(mOptions.maxPatches)
+                + ": the scene's triangles do not hang together. Use the path integrator.");
+    }
+
+    void meanDirect(const std::vector<Id>& ids, const std::vector<Quarters>& direct)
+    {
+        double sum = 0, area = 0;
+        for (std::size_t i = 0; i < ids.size(); ++i) {
+            sum += mPatches->area(ids[i]) * direct[i].mean();
+            area += mPatches->area(ids[i]);
+        }
+        mSceneMean = area > 0 ? sum / area : 0;
+    }
+
+    Id patchOf(const Near& n) const { return mPatches->find(n.triangle, n.u, n.v, n.behind); }
+    bool isNear(const Near& n) const
+    {
+        const Id id = patchOf(n);
+        return id != SurfacePatches::kNone
+            && mPatches->extent(id) > mOptions.nearness * static_cast<double>(n.distance);
+    }
+
+    /// Divides what enough rays come near, level by level.
+    void divideNear()
+    {
+        std::vector<std::uint32_t> count;
+        for (bool more = true; more && !mReport.full;) {
+            // Patches only shrink: a ray that is no longer near never is again.
+            mNear.erase(std::remove_if(mNear.begin(), mNear.end(),
+                            [&](const Near& n) { return !isNear(n); }),
+                mNear.end());
+            count.assign(mPatches->size(), 0);
+            for (const Near& n : mNear) ++count[patchOf(n)];
+            more = false;
+            for (Id id = 0; id < count.size(); ++id) {
+                if (count[id] >= kEnough) more = cut(id) || more;
+            }
+        }
+    }
+
+    bool cut(Id id)
+    {
+        if (mPatches->size() + 4 > mOptions.maxPatches) {
+            mReport.full = true;
+            return false;
+        }
+        if (!mPatches->divide(id)) return false;
+        mMade.push_back(id); // a group keeps its number for one of its halves
+        return true;
+    }
+
+    /// Rows of the system: direct light, and where the rest comes from.
+    void gather()
+    {
+        mIds = undivided();
+        mRow.assign(mPatches->size(), 0);
+        for (std::size_t i = 0; i < mIds.size(); ++i) mRow[mIds[i]] = static_cast<std::uint32_t>(i);
+        mDirect.assign(mIds.size(), Color(0.0f));
+        mMixed.assign(mIds.size(), 0);
+        mFirstLink.assign(mIds.size() + 1, 0);
+        for (std::size_t i = 0; i < mIds.size(); ++i) {
+            mFirstLink[i + 1] = mFirstLink[i] + static_cast<std::size_t>(raysOf(mIds[i]));
+        }
+        mLinks.assign(mFirstLink.back(), Link{0, {0, 0, 0}});
+        const auto rays = [&](std::size_t i) { return raysOf(mIds[i]); };
+        sample(mIds, rays, [&](std::size_t i, Worker& w, int at, auto seen, auto end) {
+            Color sum(0.0f);
+            for (int k = 0; k < rays(i); ++k) sum += w.batch->uniform[at + k];
+            mDirect[i] = sum * (kPi / static_cast<float>(rays(i)));
+            mMixed[i] = quartersOf(mIds[i], at, rays(i), w).changes(mSceneMean);
+            for (; seen != end; ++seen) {
+                const SurfacePoint& p = seen->surface;
+                const Id id = mPatches->find(p.triangle, p.u, p.v, p.behind);
+                if (id == SurfacePatches::kNone) continue;
+                Link& link = mLinks[mFirstLink[i] + static_cast<std::size_t>(seen->from - at)];
+                link.patch = mRow[id];
+                for (int c = 0; c < 3; ++c) {
+                    link.albedo[c] = static_cast<std::uint16_t>(std::lround(p.albedo[c] * 65535.0f));
+                }
+            }
+        });
+    }
+
+    /// In proportion to the area: what is seen of a patch is.
+    int raysOf(Id id) const
+    {
+        const double share = mPatches->area(id) / (mSize * mSize);
+        return std::clamp(static_cast<int>(std::ceil(share * mOptions.rays)), std::min(kLeast, mOptions.rays), mOptions.rays);
+    }
+
+    /// T E of one row.
+    Color reflected(std::size_t row, const std::vector<Color>& light) const
+    {
+        Color sum(0.0f);
+        for (std::size_t k = mFirstLink[row]; k < mFirstLink[row + 1]; ++k) {
+            const Link& link = mLinks[k];
+            const Color& e = light[link.patch];
+            for (int c = 0; c < 3; ++c) sum[c] += static_cast<float>(link.albedo[c]) * e[c];
+        }
+        return sum * (1 / (65535.0f * static_cast<float>(mFirstLink[row + 1] - mFirstLink[row])));
+    }
+
+    void iterate()
+    {
+        mLight = mDirect;
+        std::vector<Color> next(mLight.size());
+        const bool all = mOptions.maxBounces < 0;
+        const int last = all ? kMaxIterations : std::max(0, mOptions.maxBounces - 1);
+        for (int i = 0; i < last && !mLight.empty(); ++i) {
+            tbb::parallel_for(tbb::blocked_range<std::size_t>(0, next.size(), 1024),
+                [&](const tbb::blocked_range<std::size_t>& range) {
+                    for (std::size_t r = range.begin(); r != range.end(); ++r) {
+                        next[r] = reflected(r, mLight);
+                    }
+                });
+            mReport.iterations = i + 1;
+            if (advance(next, all) && all) break;
+            if (mProgress && mProgress->cancelled()) {
+                throw Error(ErrorCode::Interrupted, "The bake was interrupted.");
+            }
+        }
+    }
+
+    /// mLight becomes D + T E (@a reflected is T E). With @a scale, E is multiplied first by what
+    /// makes its residual vanish over all surfaces together: nearly closed, nearly white rooms then
+    /// need no more iterations than others. @return whether the solution is good enough.
+    bool advance(const std::vector<Color>& reflected, bool scale)
+    {
+        Vec3d direct(0.0), kept(0.0);
+        double residual = 0, total = 0;
+        for (std::size_t r = 0; r < mLight.size(); ++r) {
+            const double area = mPatches->area(mIds[r]);
+            for (int c = 0; c < 3; ++c) {
+                const double d = static_cast<double>(mDirect[r][c]),
+                             e = static_cast<double>(mLight[r][c]),
+                             t = static_cast<double>(reflected[r][c]);
+                direct[c] += area * d;
+                kept[c] += area * (e - t);
+                residual += area * std::abs(e - t - d);
+                total += area * e;
+            }
+        }
+        mReport.residual = total > 0 ? residual / total : 0;
+        if (mReport.residual <= mOptions.residual && scale) return true;
+        Color factor(1.0f);
+        for (int c = 0; c < 3 && scale; ++c) {
+            if (kept[c] > 1e-6 * direct[c]) factor[c] = static_cast<float>(direct[c] / kept[c]);
+        }
+        for (std::size_t r = 0; r < mLight.size(); ++r) {
+            mLight[r] = mDirect[r] + factor * reflected[r];
+        }
+        return false;
+    }
+
+    void finish(std::vector<RadianceCache::Light>& light)
+    {
+        light.assign(mPatches->size(), {Color(0.0f), false});
+        for (std::size_t r = 0; r < mIds.size(); ++r) {
+            const bool mixed = mMixed[r] != 0;
+            light[mIds[r]] = {mixed ? mLight[r] - mDirect[r] : mLight[r], mixed};
+            mReport.mixed += mixed ? 1 : 0;
+        }
+        mReport.patches = mIds.size();
+        mReport.bytes = mLinks.size() * sizeof(Link) + mIds.size() * (3 * sizeof(Color) + 17)
+            + light.size() * sizeof(RadianceCache::Light) + mPatches->bytes();
+    }
+
+    const Tracer::Impl& mTracer;
+    const RadianceCacheOptions& mOptions;
+    RadianceCacheReport& mReport;
+    Progress* mProgress;
+    SurfacePatches* mPatches = nullptr;
+    double mSize = 0, mSceneMean = 0;
+    std::vector<Near> mNear;
+    std::vector<Id> mMade; ///< divided in this round
+    std::vector<Id> mIds; ///< by row
+    std::vector<std::uint32_t> mRow; ///< by patch
+    std::vector<Color> mDirect, mLight; ///< by row
+    std::vector<std::uint8_t> mMixed;
+    std::vector<std::size_t> mFirstLink; ///< by row; one more at the end
+    std::vector<Link> mLinks;
+};
+
+void RadianceCacheOptions::validate() const
+{
+    const auto check = [](bool good, const char* field, double value, const char* range) {
+        if (good) return;
+        throw Error(ErrorCode::Usage,
+            std::string("radiance cache: ") + field + " is " + std::to_string(value) + "; take "
+                + range + ".");
+    };
+    constexpr std::size_t kMost = std::size_t{1} << 24;
+    check(maxBounces >= -1, "maxBounces", maxBounces, "0 or more, or -1 for no limit");
+    check(patches >= 64 && patches <= kMost, "patches", static_cast<double>(patches), "64 to 2^24");
+    check(maxPatches >= 64 && maxPatches <= 16 * kMost, "maxPatches",
+        static_cast<double>(maxPatches), "64 to 2^28");
+    check(rays >= 8 && rays <= kBatch, "rays", rays, "8 to 256");
+    check(nearness > 0, "nearness", nearness, "a positive number");
+    check(residual > 0, "residual", residual, "a positive number");
+}
+
+RadianceCache::RadianceCache(
+    const Tracer& tracer, const RadianceCacheOptions& options, Progress* progress)
+    : mOptions(options)
+{
+    mOptions.validate();
+    const auto start = std::chrono::steady_clock::now();
+    CacheSolver(tracer, *this, progress);
+    mReport.seconds
+        = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+}
+
+RadianceCache::~RadianceCache() = default;
+
+RadianceCache::Light RadianceCache::at(
+    std::uint32_t triangle, float u, float v, bool behind) const
+{
+    const SurfacePatches::Id id = mImpl->patches.find(triangle, u, v, behind);
+    return id == SurfacePatches::kNone ? Light{Color(0.0f), false} : mImpl->light[id];
+}
+
+} // namespace lumivdb

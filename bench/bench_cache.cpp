@@ -1,0 +1,261 @@
+// SPDX-License-Identifier: Apache-2.0
+/// Time against error of both integrators at the same points of free space, and the cache's bias:
+/// lumivdb_bench_cache SCENE [key=value ...], see usage().
+
+#include <lumivdb/bake/bake.h>
+#include <lumivdb/bake/environment.h>
+#include <lumivdb/bake/radiance_cache.h>
+#include <lumivdb/core/error.h>
+#include <lumivdb/core/random.h>
+
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/global_control.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <sstream>
+
+using namespace lumivdb;
+
+namespace {
+
+constexpr int kNormals = 32;
+
+struct Settings {
+    std::string scene, environment;
+    bool sun = false, front = false;
+    Contribution contribution = Contribution::All;
+    Box3d bounds;
+    std::size_t points = 200;
+    int referenceRays = 8192, threads = 1, most = 1024;
+    RadianceCacheOptions cache;
+};
+
+int usage(const char* program)
+{
+    std::fprintf(stderr,
+        "usage: %s SCENE [env=FILE] [sun=1] [bounds=x,y,z,x,y,z] [points=200] [threads=1]\n"
+        "  [reference=8192 rays a point, twice] [most=1024 rays a point]\n"
+        "  [patches=N] [rays=N a patch] [nearness=R] [maxpatches=N]\n",
+        program);
+    return 2;
+}
+
+Box3d parseBounds(const char* text)
+{
+    double v[6] = {};
+    std::sscanf(text, "%lf,%lf,%lf,%lf,%lf,%lf", v, v + 1, v + 2, v + 3, v + 4, v + 5);
+    return {Vec3d(v[0], v[1], v[2]), Vec3d(v[3], v[4], v[5])};
+}
+
+bool parse(int argc, char** argv, Settings& s)
+{
+    if (argc < 2) return false;
+    s.scene = argv[1];
+    for (int i = 2; i < argc; ++i) {
+        const char* equals = std::strchr(argv[i], '=');
+        if (!equals) return false;
+        const std::string key(argv[i], static_cast<std::size_t>(equals - argv[i]));
+        const char* value = equals + 1;
+        if (key == "env") s.environment = value;
+        else if (key == "sun") s.sun = std::atoi(value) != 0;
+        else if (key == "contribution") s.contribution = std::strcmp(value, "direct") == 0 ? Contribution::Direct : std::strcmp(value, "indirect") == 0 ? Contribution::Indirect : Contribution::All;
+        else if (key == "front") s.front = std::atoi(value) != 0;
+        else if (key == "bounds") s.bounds = parseBounds(value);
+        else if (key == "points") s.points = static_cast<std::size_t>(std::atoll(value));
+        else if (key == "threads") s.threads = std::atoi(value);
+        else if (key == "reference") s.referenceRays = std::atoi(value);
+        else if (key == "most") s.most = std::atoi(value);
+        else if (key == "patches") s.cache.patches = static_cast<std::size_t>(std::atoll(value));
+        else if (key == "maxpatches") s.cache.maxPatches = static_cast<std::size_t>(std::atoll(value));
+        else if (key == "rays") s.cache.rays = std::atoi(value);
+        else if (key == "nearness") s.cache.nearness = std::atof(value);
+        else return false;
+    }
+    return true;
+}
+
+/// Free-space points of a box.
+std::vector<Vec3d> freePoints(const Tracer& tracer, const Box3d& box, std::size_t count)
+{
+    ProbeOptions look;
+    look.rays = 64;
+    look.contribution = Contribution::Direct;
+    const ProbeEstimator estimator(tracer, look);
+    ProbeEstimator::Workspace workspace;
+    std::vector<Vec3d> points;
+    CounterRng rng(1);
+    for (std::size_t tries = 0; points.size() < count && tries < 100 * count; ++tries) {
+        Vec3d p;
+        for (int a = 0; a < 3; ++a) {
+            p[a] = box.min[a] + rng.nextDouble() * (box.max[a] - box.min[a]);
+        }
+        if (estimator.radianceSh(p, 1, tries, workspace).validity > 0.9f) points.push_back(p);
+    }
+    return points;
+}
+
+/// Irradiance at all points for all normals, and how long it took.
+struct Field {
+    std::vector<Color> values; // [point * kNormals + normal]
+    double seconds = 0;
+    std::uint64_t rays = 0;
+};
+
+Field measure(const Tracer& tracer, const ProbeOptions& options, const std::vector<Vec3d>& points)
+{
+    const std::vector<Vec3f> normals = uniformNormals(kNormals);
+    const ProbeEstimator estimator(tracer, options);
+    tbb::enumerable_thread_specific<ProbeEstimator::Workspace> workspaces;
+    Field f;
+    f.values.resize(points.size() * kNormals);
+    std::vector<std::uint64_t> rays(points.size());
+    const auto start = std::chrono::steady_clock::now();
+    tbb::parallel_for(std::size_t{0}, points.size(), [&](std::size_t i) {
+        const ProbeResult r = estimator.irradiance(
+            points[i], normals, hashCombine(options.seed, i), workspaces.local());
+        std::copy(r.value.begin(), r.value.end(), f.values.begin() + static_cast<long>(i * kNormals));
+        rays[i] = r.rays;
+    });
+    f.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    for (const std::uint64_t r : rays) f.rays += r;
+    return f;
+}
+
+struct Reference {
+    std::vector<Color> values;
+    Vec3d mean{0.0}, noise2{0.0}; // of E; mean square of the values' noise
+};
+
+Reference referenceOf(const Field& a, const Field& b)
+{
+    Reference r;
+    const auto n = static_cast<double>(a.values.size());
+    for (std::size_t i = 0; i < a.values.size(); ++i) {
+        const Color v = (a.values[i] + b.values[i]) * 0.5f;
+        const Vec3d d((a.values[i] - b.values[i]) * 0.5f);
+        r.values.push_back(v);
+        r.mean += Vec3d(v) / n;
+        r.noise2 += d * d / n;
+    }
+    return r;
+}
+
+/// Relative RMS error of the worst channel, the reference's noise taken off; and the mean error.
+std::pair<double, double> errorOf(const std::vector<Color>& values, const Reference& ref)
+{
+    Vec3d square(0.0), sum(0.0);
+    const auto n = static_cast<double>(values.size());
+    for (std::size_t i = 0; i < values.size(); ++i) {
+        const Vec3d d(values[i] - ref.values[i]);
+        square += d * d / n;
+        sum += d / n;
+    }
+    double rms = 0, mean = 0;
+    for (int c = 0; c < 3; ++c) {
+        if (!(ref.mean[c] > 0)) continue;
+        rms = std::max(rms, std::sqrt(std::max(0.0, square[c] - ref.noise2[c])) / ref.mean[c]);
+        if (std::abs(sum[c] / ref.mean[c]) > std::abs(mean)) mean = sum[c] / ref.mean[c];
+    }
+    return {rms, mean};
+}
+
+void curve(const char* name, const Tracer& tracer, ProbeOptions options, const Settings& s,
+    const std::vector<Vec3d>& points, const Reference& ref)
+{
+    for (options.rays = 32; options.rays <= s.most; options.rays *= 2) {
+        const Field f = measure(tracer, options, points);
+        const auto [rms, mean] = errorOf(f.values, ref);
+        std::printf("%-7s %6d rays  %8.3f ms a point  %6.1f Mrays/s  rel_rmse %7.3f%%  mean %+.3f%%\n", name,
+            options.rays, f.seconds * 1e3 / static_cast<double>(points.size()),
+            static_cast<double>(f.rays) / f.seconds * 1e-6, 100 * rms, 100 * mean);
+        std::fflush(stdout);
+    }
+}
+
+int run(int argc, char** argv)
+{
+    Settings s;
+    if (!parse(argc, argv, s)) return usage(argv[0]);
+    const tbb::global_control threads(
+        tbb::global_control::max_allowed_parallelism, static_cast<std::size_t>(s.threads));
+    auto scene = std::make_shared<Scene>(loadScene(s.scene));
+    std::vector<std::string> warnings;
+    if (!s.environment.empty()) scene->environment = Environment::load(s.environment, {}, warnings);
+    for (Material& m : scene->materials) m.emitsFrontOnly = s.front;
+    if (s.sun) {
+        Light sun;
+        sun.type = LightType::Directional;
+        sun.direction = Vec3d(-0.25, -1, -0.15).normalized();
+        sun.intensity = Color(10.0f);
+        scene->lights.push_back(sun);
+    }
+    const Tracer tracer(scene);
+    const Box3d box = s.bounds.isEmpty() ? scene->bounds() : s.bounds;
+    const std::vector<Vec3d> points = freePoints(tracer, box, s.points);
+    const RadianceCache* solved = nullptr;
+    ProbeOptions cached;
+    {
+        auto cache = std::make_shared<const RadianceCache>(tracer, s.cache);
+        solved = cache.get();
+        cached.cache = std::move(cache);
+    }
+    const RadianceCacheReport& r = solved->report();
+    std::printf("%s: %zu points, %d threads\n", s.scene.c_str(), points.size(), s.threads);
+    std::printf("cache: %.3f s, %zu patches (%zu mixed)%s, %.2f M rays, %.1f MiB, %d iterations, residual %.1e\n",
+        r.seconds, r.patches, r.mixed, r.full ? " FULL" : "", static_cast<double>(r.rays) * 1e-6,
+        static_cast<double>(r.bytes) / 1048576.0, r.iterations, r.residual);
+    ProbeOptions path, plain;
+    path.contribution = cached.contribution = plain.contribution = s.contribution;
+    path.rays = s.referenceRays;
+    path.seed = 1001;
+    const Field a = measure(tracer, path, points);
+    path.seed = 1002;
+    const Reference ref = referenceOf(a, measure(tracer, path, points));
+    double noise = 0;
+    for (int c = 0; c < 3; ++c) {
+        if (ref.mean[c] > 0) noise = std::max(noise, std::sqrt(ref.noise2[c]) / ref.mean[c]);
+    }
+    std::printf("reference: 2 x %d paths, noise %.3f%%, %.3f ms a point each\n", s.referenceRays,
+        100 * noise, a.seconds * 1e3 / static_cast<double>(points.size()));
+    curve("path", tracer, plain, s, points, ref);
+    curve("cached", tracer, cached, s, points, ref);
+    // The bias: two independent sets of many directions, whose common part is the bias.
+    cached.rays = 8192;
+    cached.seed = 11;
+    const Field c = measure(tracer, cached, points);
+    cached.seed = 12;
+    const Reference many = referenceOf(c, measure(tracer, cached, points));
+    const auto [rms, mean] = errorOf(many.values, ref);
+    if (getenv("WORST")) {
+        std::vector<std::pair<double,std::size_t>> w;
+        for (std::size_t i=0;i<points.size();++i) { double e=0; for(int k=0;k<kNormals;++k) e+=std::pow((many.values[i*kNormals+k]-ref.values[i*kNormals+k]).x,2); w.push_back({std::sqrt(e/kNormals)/ref.mean.x,i}); }
+        std::sort(w.rbegin(), w.rend());
+        for (int j=0;j<6;++j) { auto i=w[j].second; double m=0,a2=0,b2=0; for(int k=0;k<kNormals;++k) m+=ref.values[i*kNormals+k].x/kNormals, a2+=many.values[i*kNormals+k].x/kNormals, b2+=c.values[i*kNormals+k].x/kNormals;
+          std::printf("  worst %.2f%% at %g %g %g, E %g cached %g (%g)\n",100*w[j].first,points[i].x,points[i].y,points[i].z,m,a2,b2);}
+    }
+    double own = 0;
+    for (int k = 0; k < 3; ++k) {
+        if (ref.mean[k] > 0) own = std::max(own, std::sqrt(many.noise2[k]) / ref.mean[k]);
+    }
+    std::printf("bias: rms %.3f%%, mean %+.3f%% (8192 rays, noise %.3f%%)\n",
+        100 * std::sqrt(std::max(0.0, rms * rms - own * own)), 100 * mean, 100 * own);
+    return 0;
+}
+
+} // namespace
+
+int main(int argc, char** argv)
+{
+    try {
+        return run(argc, argv);
+    } catch (const std::exception& e) {
+        std::fprintf(stderr, "%s\n", e.what());
+        return 3;
+    }
+}
