@@ -8,6 +8,7 @@
 #include <lumivdb/bake/scene.h>
 #include <lumivdb/core/progress.h>
 
+#include <cstdint>
 #include <memory>
 
 namespace lumivdb {
@@ -25,12 +26,26 @@ struct SurfaceHit {
     int triangle = -1;
 };
 
+struct TracerOptions {
+    /// Meshes with instances are expanded as long as the world, expanded, has no more triangles
+    /// than this: rays are faster then. Those that add least come first.
+    std::uint64_t expandUpTo = std::uint64_t(1) << 20;
+};
+
 /// Immutable after construction and safe to trace from many threads.
+///
+/// Meshes that are not expanded are kept once and traced through one transform each. Positions of
+/// an expanded mesh and of one that is not agree up to rounding; edges where an instance meets
+/// something else are not watertight to the last bit, as those within a mesh are. Emissive meshes,
+/// those of up to four triangles and transforms that would cost more than six bits are always
+/// expanded.
 class Tracer {
 public:
-    /// Builds the structure (high quality, robust). Refers to nothing of @a scene afterwards but
-    /// shares its environment. @throws Error(Input) where Embree runs out of memory.
-    explicit Tracer(std::shared_ptr<const Scene> scene, Progress* progress = nullptr);
+    /// Builds the structure (high quality, robust) and shares @a scene.
+    /// @throws Error(Input) where the world has 2³² − 1 triangles or more, those of instances
+    /// counted each time, and where Embree runs out of memory.
+    explicit Tracer(std::shared_ptr<const Scene> scene, Progress* progress = nullptr,
+        const TracerOptions& options = {});
     ~Tracer();
 
     const Scene& scene() const;
