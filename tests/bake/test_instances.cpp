@@ -215,12 +215,15 @@ TEST_CASE("instances: packets agree with single rays", "[instances]")
 
 TEST_CASE("instances: what leaves a convex body does not meet it again", "[instances]")
 {
-    // Far from the middle of the scene, where rounding is largest.
+    // Two boxes, one of them near the middle of the scene and both far from the middle of their
+    // mesh: there the transform rounds more than the coordinates show.
     Scene scene;
     addMaterial(scene, Color(0.5f), Color(0.0f), false);
-    Mesh& box = addBox(scene, 0, Vec3d(-0.5), Vec3d(1.0));
+    addBox(scene, 0, Vec3d(-0.5), Vec3d(1.0));
+    addBox(scene, 0, Vec3d(999.5, -0.5, -0.5), Vec3d(1.0));
+    Mesh& boxes = join(scene, 0);
     CounterRng rng(3);
-    for (int i = 0; i < 200; ++i) box.instances.push_back(randomPlace(rng, 1000, false));
+    for (int i = 0; i < 200; ++i) boxes.instances.push_back(randomPlace(rng, 3, false));
     const Both both(scene);
     const Tracer::Impl& impl = both.instanced->impl();
     auto rays = std::make_unique<RayBatch>();
@@ -284,11 +287,12 @@ TEST_CASE("instances: closest surfaces, cells, blockers and surfels", "[instance
                b = surfaceBlockers(*both.instanced, options);
     REQUIRE(a.size() > 1000);
     REQUIRE(a.size() == b.size());
-    std::size_t moved = 0; // rounding of the running sum of areas, stretched by the Hilbert curve
+    // Rounding of the running sum of areas, some 10⁻⁷ of 10³, goes along a Hilbert curve.
+    double furthest = 0;
     for (std::size_t i = 0; i < a.size(); ++i) {
-        moved += (a[i].position - b[i].position).length() > 1e-3;
+        furthest = std::max(furthest, (a[i].position - b[i].position).length());
     }
-    CHECK(moved < a.size() / 100);
+    CHECK(furthest < 0.02);
 
     RsmOptions rsm;
     rsm.resolution = 32;
