@@ -280,11 +280,9 @@ bool visitTriangle(RTCPointQueryFunctionArguments* args)
     return true;
 }
 
-} // namespace
-
-bool Tracer::closestSurface(const Vec3d& p, double radius, double* distance, Vec3d* normal) const
+ClosestQuery closest(const Tracer::Impl& impl, const Vec3d& p, double radius)
 {
-    ClosestQuery q{mImpl.get(), mImpl->toLocal(p), static_cast<float>(radius), 0};
+    ClosestQuery q{&impl, impl.toLocal(p), static_cast<float>(radius), 0};
     RTCPointQuery query{};
     query.x = q.p.x;
     query.y = q.p.y;
@@ -292,11 +290,26 @@ bool Tracer::closestSurface(const Vec3d& p, double radius, double* distance, Vec
     query.radius = q.distance;
     RTCPointQueryContext context;
     rtcInitPointQueryContext(&context);
-    rtcPointQuery(mImpl->embree, &query, &context, visitTriangle, &q);
+    rtcPointQuery(impl.embree, &query, &context, visitTriangle, &q);
+    return q;
+}
+
+} // namespace
+
+bool Tracer::closestSurface(const Vec3d& p, double radius, double* distance, Vec3d* normal) const
+{
+    const ClosestQuery q = closest(*mImpl, p, radius);
     if (!q.found) return false;
     if (distance) *distance = q.distance;
     if (normal) *normal = Vec3d(mImpl->corners(q.triangle).areaVector().normalized());
     return true;
+}
+
+double Tracer::surfaceRounding(const Vec3d& p, double radius) const
+{
+    const ClosestQuery q = closest(*mImpl, p, radius);
+    if (!q.found) return 0;
+    return Impl::offsetOf(mImpl->corners(q.triangle), mImpl->instanceOf(q.triangle));
 }
 
 } // namespace lumivdb

@@ -48,7 +48,7 @@ struct SurfacePoint {
 
 struct Tracer::Impl {
     std::shared_ptr<const Scene> scene;
-    Vec3d origin{0, 0, 0}; ///< world position of local zero: the middle of the scene
+    Vec3d origin{0, 0, 0}; ///< world position of local zero: where most triangles are
     double buildSeconds = 0;
 
     RTCDevice device = nullptr;

@@ -58,6 +58,8 @@ public:
     bool occluded(const Vec3d& from, const Vec3d& to) const;
     /// Closest surface within @a radius: its distance and unit normal. False where there is none.
     bool closestSurface(const Vec3d& p, double radius, double* distance, Vec3d* normal) const;
+    /// By how much single precision may have moved that surface, world units; 0 where there is none.
+    double surfaceRounding(const Vec3d& p, double radius) const;
 
     struct Impl;
     const Impl& impl() const { return *mImpl; }
