@@ -199,7 +199,9 @@ void ProbeCommand::run(const Arguments& arguments)
         mStep = mDelta ? *mDelta : defaultSpacing(scene->bounds()) / 8;
     }
     ProgressBar progress(mCommon.console.progressStyle());
-    const Tracer tracer(scene, &progress);
+    TracerOptions options;
+    options.expectedRays = static_cast<double>(points.positions.size()) * mProbe.rays;
+    const Tracer tracer(scene, &progress, options);
     throwIfInterrupted();
     const std::vector<ProbeResult> probed = probeAll(tracer, points.positions, progress);
     progress.finish();

@@ -53,6 +53,7 @@ struct Tracer::Impl {
 
     RTCDevice device = nullptr;
     RTCScene embree = nullptr;
+    RTCBuildQuality quality = RTC_BUILD_QUALITY_HIGH;
 
     struct Triangle {
         std::uint32_t vertex[3]; ///< into `vertices`

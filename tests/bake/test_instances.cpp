@@ -351,6 +351,40 @@ TEST_CASE("instances: the smaller meshes are expanded, as many as may be", "[ins
     CHECK(instancesAt(must + 180) == 0);
 }
 
+TEST_CASE("tracer: a quickly built structure finds what a good one finds", "[instances]")
+{
+    const auto scene = std::make_shared<Scene>(crowd(20, 2));
+    const auto triangles = static_cast<double>(scene->triangleCount());
+    const auto traced = [&](double rays, RTCBuildQuality quality) {
+        TracerOptions options;
+        options.expectedRays = rays;
+        auto tracer = std::make_unique<Tracer>(scene, nullptr, options);
+        CHECK(tracer->impl().quality == quality);
+        return tracer;
+    };
+    const auto good = traced(triangles, RTC_BUILD_QUALITY_HIGH);
+    const auto unknown = traced(0, RTC_BUILD_QUALITY_HIGH);
+    const auto quick = traced(triangles - 1, RTC_BUILD_QUALITY_LOW);
+    CounterRng rng(21);
+    auto rays = std::make_unique<RayBatch>();
+    auto a = std::make_unique<HitBatch>(), b = std::make_unique<HitBatch>();
+    std::size_t different = 0, hits = 0;
+    for (int round = 0; round < 100; ++round) {
+        const Vec3f from(randomPoint(rng, 3));
+        rays->count = 0;
+        for (int i = 0; i < kBatch; ++i) rays->push(from, Vec3f(randomDirection(rng)), 1e30f);
+        intersectCoherent(good->impl(), *rays, *a);
+        intersectCoherent(quick->impl(), *rays, *b);
+        for (int i = 0; i < kBatch; ++i) {
+            hits += a->triangle[i] != kMiss;
+            different += a->triangle[i] != b->triangle[i] || a->t[i] != b->t[i]
+                || a->u[i] != b->u[i] || a->v[i] != b->v[i];
+        }
+    }
+    CHECK(hits == 100 * kBatch);
+    CHECK(different == 0);
+}
+
 TEST_CASE("instances: more triangles than numbers are refused", "[instances]")
 {
     Scene scene;

@@ -28,8 +28,15 @@ struct SurfaceHit {
 
 struct TracerOptions {
     /// Meshes with instances are expanded as long as the world, expanded, has no more triangles
-    /// than this: rays are faster then. Those that add least come first.
-    std::uint64_t expandUpTo = std::uint64_t(1) << 20;
+    /// than this (some 150 bytes each): rays are half as fast again then. Those that add least come
+    /// first.
+    std::uint64_t expandUpTo = std::uint64_t(1) << 21;
+    /// Rays that will be traced, roughly; 0: not known, taken as many. Fewer than triangles in
+    /// memory do not earn back what a good structure takes to build, so they get a quick one.
+    /// Both find the same closest hits; where two surfaces lie at the very same distance, each may
+    /// find another of the two. So where results are to agree to the last bit, as parts of one bake
+    /// are, give all the same number or none.
+    double expectedRays = 0;
 };
 
 /// Immutable after construction and safe to trace from many threads.
@@ -41,7 +48,7 @@ struct TracerOptions {
 /// expanded.
 class Tracer {
 public:
-    /// Builds the structure (high quality, robust) and shares @a scene.
+    /// Builds the structure (robust) and shares @a scene.
     /// @throws Error(Input) where the world has 2³² − 1 triangles or more, those of instances
     /// counted each time, and where Embree runs out of memory.
     explicit Tracer(std::shared_ptr<const Scene> scene, Progress* progress = nullptr,
@@ -58,7 +65,8 @@ public:
     bool occluded(const Vec3d& from, const Vec3d& to) const;
     /// Closest surface within @a radius: its distance and unit normal. False where there is none.
     bool closestSurface(const Vec3d& p, double radius, double* distance, Vec3d* normal) const;
-    /// By how much single precision may have moved that surface, world units; 0 where there is none.
+    /// By how much single precision may have moved that surface, world units; 0 where there is
+    /// none.
     double surfaceRounding(const Vec3d& p, double radius) const;
 
     struct Impl;
