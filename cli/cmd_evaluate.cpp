@@ -207,7 +207,11 @@ void EvaluateCommand::run(const Arguments& arguments)
     warnIfSceneDiffers(volume, mVolume, *scene, mCommon.console);
 
     ProgressBar progress(mCommon.console.progressStyle());
-    const Tracer tracer(scene, &progress);
+    const std::size_t points
+        = mEvaluate.givenPoints.empty() ? mEvaluate.points : mEvaluate.givenPoints.size();
+    TracerOptions options;
+    options.expectedRays = static_cast<double>(points) * mEvaluate.rays;
+    const Tracer tracer(scene, &progress, options);
     throwIfInterrupted();
     const EvaluateReport report = evaluateVolume(volume, tracer, mEvaluate, &progress);
     progress.finish();

@@ -43,8 +43,11 @@ private:
     double mStep = 0; // world units, of central differences away from surfaces
 };
 
-/// Share of the scene's diagonal to which a point on a surface is moved off it.
-constexpr double kOnSurface = 1e-5;
+/// A point is on a surface within half this many of its roundings, and moved off it by so many: a
+/// share of the scene's size would carry points of a small room in a wide scene through its walls.
+constexpr double kOnSurface = 4;
+/// Share of the scene's diagonal that surfaces are looked for in: more than any rounding.
+constexpr double kSearch = 1e-5;
 
 std::uint64_t bitsOf(double value)
 {
@@ -142,12 +145,13 @@ std::vector<ProbeResult> ProbeCommand::probeAll(
 {
     const ProbeEstimator estimator(tracer, mProbe);
     const Box3d box = tracer.scene().bounds();
-    const double clearance = box.isEmpty() ? 0 : kOnSurface * box.size().length();
+    const double search = box.isEmpty() ? 0 : kSearch * box.size().length();
     std::vector<ProbeResult> probed(points.size());
     tbb::enumerable_thread_specific<ProbeEstimator::Workspace> workspaces;
     progress.begin("trace points", points.size());
     const auto body = [&](std::size_t i) {
         throwIfInterrupted();
+        const double clearance = kOnSurface * tracer.surfaceRounding(points[i], search);
         const Vec3d p = clearance > 0 ? moveOffSurfaces(tracer, points[i], clearance) : points[i];
         const std::uint64_t key = keyOf(mProbe.seed, points[i]);
         ProbeEstimator::Workspace& workspace = workspaces.local();
@@ -195,7 +199,9 @@ void ProbeCommand::run(const Arguments& arguments)
         mStep = mDelta ? *mDelta : defaultSpacing(scene->bounds()) / 8;
     }
     ProgressBar progress(mCommon.console.progressStyle());
-    const Tracer tracer(scene, &progress);
+    TracerOptions options;
+    options.expectedRays = static_cast<double>(points.positions.size()) * mProbe.rays;
+    const Tracer tracer(scene, &progress, options);
     throwIfInterrupted();
     const std::vector<ProbeResult> probed = probeAll(tracer, points.positions, progress);
     progress.finish();

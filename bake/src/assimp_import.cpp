@@ -60,7 +60,7 @@ public:
 
 private:
     void walkNodes();
-    const LocalMesh& localMesh(unsigned index);
+    std::size_t localMesh(unsigned index);
     void readVertices(const aiMesh& source, LocalMesh& mesh);
     void readFaces(const aiMesh& source, LocalMesh& mesh);
     void readMaterial(const aiMaterial& source, bool used, Material& material);
@@ -74,7 +74,7 @@ private:
     const aiScene& mSource;
     bool mMaterialsMissing;
     std::filesystem::path mFolder;
-    std::map<unsigned, LocalMesh> mMeshes;
+    std::map<unsigned, std::size_t> mMeshes; ///< into SceneImport::meshes
     std::map<std::string, int> mTextures;
 };
 
@@ -87,6 +87,7 @@ void AssimpReader::read()
         if (materials[i].name.empty()) materials[i].name = "material " + std::to_string(i);
     }
     walkNodes();
+    finishMeshes(mImport);
     // Assimp finds an empty scene in any bytes at all.
     if (mImport.scene.meshes.empty())
         mImport.fail("it holds no triangles; check that it is a scene");
@@ -129,7 +130,7 @@ void AssimpReader::walkNodes()
     }
 }
 
-const LocalMesh& AssimpReader::localMesh(unsigned index)
+std::size_t AssimpReader::localMesh(unsigned index)
 {
     const auto known = mMeshes.find(index);
     if (known != mMeshes.end()) return known->second;
@@ -146,7 +147,8 @@ const LocalMesh& AssimpReader::localMesh(unsigned index)
     readVertices(source, mesh);
     readFaces(source, mesh);
     if (source.mNumBones > 0) mImport.warnings.add("Skins are ignored (static pose)", mesh.name);
-    return mMeshes.emplace(index, std::move(mesh)).first->second;
+    mImport.meshes.push_back(std::move(mesh));
+    return mMeshes[index] = mImport.meshes.size() - 1;
 }
 
 void AssimpReader::readVertices(const aiMesh& source, LocalMesh& mesh)

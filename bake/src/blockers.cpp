@@ -52,7 +52,7 @@ public:
             mOptions.region->min -= impl.origin;
             mOptions.region->max -= impl.origin;
         }
-        for (std::uint32_t t = 0; t < impl.triangles.size(); ++t) addTriangle(t);
+        for (std::uint32_t t = 0; t < impl.triangleCount; ++t) addTriangle(t);
     }
 
     std::vector<Blocker> run(Progress& progress)
@@ -75,9 +75,8 @@ private:
 
     void addTriangle(std::uint32_t index)
     {
-        const auto& t = mImpl.triangles[index];
-        Polygon p;
-        for (const std::uint32_t v : t.vertex) p.emplace_back(mImpl.vertices[v]);
+        const Corners t = mImpl.corners(index);
+        Polygon p = {Vec3d(t.a), Vec3d(t.b), Vec3d(t.c)};
         if (mOptions.region) {
             for (int axis = 0; axis < 3 && !p.empty(); ++axis) {
                 p = cut(p, axis, -1, mOptions.region->min[axis]);
@@ -124,8 +123,8 @@ private:
         const Vec2f place = squareToTriangle(hilbertPoint(rest));
         const Vec3d p = piece.a + piece.ab * place.x + piece.ac * place.y;
 
-        const auto& triangle = mImpl.triangles[piece.triangle];
-        const Vec2f uv = barycentrics(triangle, p);
+        const auto& triangle = mImpl.triangle(piece.triangle);
+        const Vec2f uv = barycentrics(mImpl.corners(piece.triangle), p);
         const Material& material = mImpl.materialOf(triangle);
         float alpha = 1;
         const Color albedo = mImpl.albedoAt(triangle, uv.x, uv.y, &alpha);
@@ -139,11 +138,9 @@ private:
         to.push_back(blocker);
     }
 
-    Vec2f barycentrics(const Tracer::Impl::Triangle& t, const Vec3d& p) const
+    static Vec2f barycentrics(const Corners& t, const Vec3d& p)
     {
-        const Vec3d a(mImpl.vertices[t.vertex[0]]);
-        const Vec3d ab = Vec3d(mImpl.vertices[t.vertex[1]]) - a;
-        const Vec3d ac = Vec3d(mImpl.vertices[t.vertex[2]]) - a;
+        const Vec3d a(t.a), ab = Vec3d(t.b) - a, ac = Vec3d(t.c) - a;
         const Vec3d n = ab.cross(ac), ap = p - a;
         const double n2 = n.length2();
         return {static_cast<float>(ap.cross(ac).dot(n) / n2),

@@ -58,15 +58,14 @@ struct BoxQuery {
 
     bool touches(std::uint32_t triangle) const
     {
-        const auto& t = impl->triangles[triangle];
-        Vec3d v[3], size(0.0);
-        for (int i = 0; i < 3; ++i) {
-            v[i] = Vec3d(impl->vertices[t.vertex[i]]);
-            size = larger(size, absolute(v[i]));
-        }
+        const Tracer::Impl::Instance* instance = impl->instanceOf(triangle);
+        const Corners c = impl->corners(impl->stored(triangle, instance), instance);
+        Vec3d v[3] = {Vec3d(c.a), Vec3d(c.b), Vec3d(c.c)}, size(0.0);
+        for (const Vec3d& p : v) size = larger(size, absolute(p));
         // What Impl::toLocal() rounded: half a unit of the difference's last place, and the
         // difference itself in double.
-        const Vec3d rounding = size * 0x1p-24 + (absolute(impl->origin) + size) * 0x1p-52;
+        Vec3d rounding = size * 0x1p-24 + (absolute(impl->origin) + size) * 0x1p-52;
+        if (instance) rounding += Vec3d(Tracer::Impl::offsetOf(c, instance));
         for (Vec3d& p : v) p -= center;
         return touch(v, half + rounding);
     }
@@ -75,7 +74,8 @@ struct BoxQuery {
 bool visitTriangle(RTCPointQueryFunctionArguments* args)
 {
     auto& q = *static_cast<BoxQuery*>(args->userPtr);
-    const std::uint32_t id = q.impl->triangleOf(args->geomID, args->primID);
+    const std::uint32_t id
+        = q.impl->triangleOf(args->geomID, args->primID, args->context->instID[0]);
     if ((q.any && !q.found) || !q.touches(id)) return false;
     q.any = true;
     if (q.found) {
@@ -99,7 +99,8 @@ bool run(const Tracer::Impl& impl, const Box3d& scene, const Box3d& worldBox,
     }
     BoxQuery q{&impl, (lower + upper) * 0.5, (upper - lower) * 0.5, found};
     const Vec3f center(q.center);
-    const double rounding = std::max(maxAbs(scene.min), maxAbs(scene.max)) * 0x1p-20;
+    const double rounding = impl.roundingOf(
+        static_cast<float>(std::max(maxAbs(scene.min), maxAbs(scene.max)) * 0x1p-20));
     RTCPointQuery query{};
     query.x = center.x;
     query.y = center.y;
@@ -117,11 +118,10 @@ GeometryCells::GeometryCells(const Tracer& tracer)
     : mTracer(&tracer)
 {
     const Tracer::Impl& impl = tracer.impl();
-    for (const auto& t : impl.triangles)
-        for (const std::uint32_t v : t.vertex) mLocal.extendBy(Vec3d(impl.vertices[v]));
-    if (mLocal.isEmpty()) return;
+    if (impl.bounds.isEmpty()) return;
+    mLocal = Box3d(impl.bounds.min - impl.origin, impl.bounds.max - impl.origin);
     const Vec3d size = larger(absolute(mLocal.min), absolute(mLocal.max)) + absolute(impl.origin);
-    const Vec3d rounding = size * 0x1p-22;
+    const Vec3d rounding = size * 0x1p-22 + Vec3d(impl.roundingOf(0));
     mLocal.min -= rounding;
     mLocal.max += rounding;
 }

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <map>
 
 namespace lumivdb {
@@ -12,64 +11,7 @@ namespace {
 
 constexpr double kHalfPi = 1.57079632679489661923;
 
-bool isFinite(const Mat4d& m)
-{
-    for (int i = 0; i < 4; ++i) {
-        for (int j = 0; j < 4; ++j) {
-            if (!std::isfinite(m[i][j])) return false;
-        }
-    }
-    return true;
-}
-
 Vec3d axis(const Mat4d& m, int row) { return {m[row][0], m[row][1], m[row][2]}; }
-
-/// Translation × rotation × scale of the node; rows are the images of the axes (row vectors).
-Mat4d composeTransform(
-    const SceneImport& import, const tinygltf::Node& node, const std::string& what)
-{
-    const auto component
-        = [&](const std::vector<double>& v, std::size_t i, std::size_t size, double fallback) {
-              if (v.empty()) return fallback;
-              if (v.size() != size)
-                  import.fail(what + " has a transform with a wrong number of values");
-              return v[i];
-          };
-    const double x0 = component(node.rotation, 0, 4, 0), y0 = component(node.rotation, 1, 4, 0);
-    const double z0 = component(node.rotation, 2, 4, 0), w0 = component(node.rotation, 3, 4, 1);
-    const double length = std::sqrt(x0 * x0 + y0 * y0 + z0 * z0 + w0 * w0);
-    if (!(length > 0)) import.fail(what + " has a rotation of length 0");
-    const double x = x0 / length, y = y0 / length, z = z0 / length, w = w0 / length;
-    const Vec3d rows[3] = {
-        {1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)},
-        {2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)},
-        {2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)},
-    };
-    Mat4d m;
-    for (int i = 0; i < 3; ++i) {
-        const auto k = static_cast<std::size_t>(i);
-        const double scale = component(node.scale, k, 3, 1);
-        for (int j = 0; j < 3; ++j) m[i][j] = rows[i][j] * scale;
-        m[3][i] = component(node.translation, k, 3, 0);
-    }
-    return m;
-}
-
-Mat4d nodeTransform(const SceneImport& import, const tinygltf::Node& node, const std::string& what)
-{
-    if (node.matrix.empty()) return composeTransform(import, node, what);
-    if (node.matrix.size() != 16) {
-        import.fail(what + " has a matrix of " + std::to_string(node.matrix.size())
-            + " values instead of 16");
-    }
-    Mat4d m;
-    // Column-major with column vectors is, in memory, row-major with row vectors.
-    std::memcpy(m.getValue(), node.matrix.data(), 16 * sizeof(double));
-    if (m[0][3] != 0 || m[1][3] != 0 || m[2][3] != 0 || m[3][3] != 1) {
-        import.fail(what + " has a matrix that is not affine");
-    }
-    return m;
-}
 
 class NodeWalker {
 public:
@@ -89,6 +31,11 @@ private:
         Mat4d parentToWorld;
     };
     void visit(int index, const Mat4d& parentToWorld, std::vector<Pending>& pending);
+    /// The primitives of a mesh of the file in SceneImport::meshes.
+    struct MeshRange {
+        std::size_t first, last;
+    };
+    MeshRange meshRange(int mesh);
     void place(int index, const Mat4d& toWorld, const std::string& what);
     void placeLight(const tinygltf::Node& node, const Mat4d& toWorld, const std::string& what);
     void placeCamera(int camera, const Mat4d& toWorld, const std::string& what);
@@ -96,7 +43,7 @@ private:
     SceneImport& mImport;
     const tinygltf::Model& mModel;
     std::vector<bool> mVisited;
-    std::map<int, std::vector<LocalMesh>> mMeshes; ///< read once, placed per instance
+    std::map<int, MeshRange> mMeshes; ///< read once, placed per instance
 };
 
 void NodeWalker::walk(const std::vector<int>& roots)
@@ -121,7 +68,7 @@ void NodeWalker::visit(int index, const Mat4d& parentToWorld, std::vector<Pendin
         mImport.fail(what + " has two parents or is its own ancestor, so the hierarchy is no tree");
     }
     mVisited[static_cast<std::size_t>(index)] = true;
-    const Mat4d toWorld = nodeTransform(mImport, node, what) * parentToWorld;
+    const Mat4d toWorld = gltfTransform(mImport, node, what) * parentToWorld;
     if (!isFinite(toWorld)) mImport.fail(what + " has a transform that is not finite");
     place(index, toWorld, what);
     for (auto child = node.children.rbegin(); child != node.children.rend(); ++child) {
@@ -134,20 +81,28 @@ void NodeWalker::place(int index, const Mat4d& toWorld, const std::string& what)
     const auto& node = mModel.nodes[static_cast<std::size_t>(index)];
     if (node.mesh >= 0) {
         checkedAt(mImport, mModel.meshes, node.mesh, "mesh", what);
-        auto known = mMeshes.find(node.mesh);
-        if (known == mMeshes.end()) {
-            known = mMeshes.emplace(node.mesh, readGltfMesh(mImport, mModel, node.mesh)).first;
+        const MeshRange range = meshRange(node.mesh);
+        for (const Mat4d& place : gltfInstances(mImport, mModel, node, toWorld, what)) {
+            for (std::size_t m = range.first; m < range.last; ++m) placeMesh(mImport, m, place);
         }
-        for (const LocalMesh& mesh : known->second) placeMesh(mImport, mesh, toWorld);
         if (node.skin >= 0) {
             mImport.warnings.add("Skins are ignored (static pose)", what.substr(5));
         }
     }
     placeLight(node, toWorld, what);
     if (node.camera >= 0) placeCamera(node.camera, toWorld, what);
-    if (gltfExtension(node.extensions, "EXT_mesh_gpu_instancing")) {
-        mImport.warnings.add("Instances of EXT_mesh_gpu_instancing are left out", what);
+}
+
+NodeWalker::MeshRange NodeWalker::meshRange(int mesh)
+{
+    const auto known = mMeshes.find(mesh);
+    if (known != mMeshes.end()) return known->second;
+    MeshRange range{mImport.meshes.size(), 0};
+    for (LocalMesh& local : readGltfMesh(mImport, mModel, mesh)) {
+        mImport.meshes.push_back(std::move(local));
     }
+    range.last = mImport.meshes.size();
+    return mMeshes[mesh] = range;
 }
 
 LightType lightType(const SceneImport& import, const std::string& type, const std::string& what)
@@ -275,6 +230,7 @@ void importGltf(SceneImport& import)
     // it is known which are used.
     import.scene.materials.resize(model.materials.size());
     NodeWalker(import, model).walk(rootNodes(import, model));
+    finishMeshes(import);
     readGltfMaterials(import, model);
 }
 

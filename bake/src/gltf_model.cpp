@@ -16,9 +16,9 @@ namespace {
 constexpr int kMaxJsonDepth = 200;
 
 // Extensions that change what the importer reads.
-constexpr std::array<const char*, 6> kSupportedExtensions
-    = {"KHR_lights_punctual", "KHR_texture_transform", "KHR_materials_emissive_strength",
-        "KHR_materials_unlit", "KHR_mesh_quantization", "EXT_texture_webp"};
+constexpr std::array<const char*, 7> kSupportedExtensions = {"KHR_lights_punctual",
+    "KHR_texture_transform", "KHR_materials_emissive_strength", "KHR_materials_unlit",
+    "KHR_mesh_quantization", "EXT_mesh_gpu_instancing", "EXT_texture_webp"};
 
 // Extensions that a Lambertian scene can do without; each material that has one is warned about.
 constexpr std::array<const char*, 13> kIgnorableExtensions = {"KHR_materials_anisotropy",

@@ -28,6 +28,16 @@ void checkGltfExtensions(SceneImport& import, const tinygltf::Model& model);
 /// The primitives of a mesh that make triangles, in the space of its node.
 std::vector<LocalMesh> readGltfMesh(SceneImport& import, const tinygltf::Model& model, int mesh);
 
+bool isFinite(const Mat4d& m);
+
+/// Node to parent, row vectors. @a what names the node. @throws Error(Input).
+Mat4d gltfTransform(const SceneImport& import, const tinygltf::Node& node, const std::string& what);
+
+/// Where the mesh of @a node is in the world: @a toWorld, or that after each of the transforms of
+/// EXT_mesh_gpu_instancing. @throws Error(Input).
+std::vector<Mat4d> gltfInstances(const SceneImport& import, const tinygltf::Model& model,
+    const tinygltf::Node& node, const Mat4d& toWorld, const std::string& what);
+
 /// Fills Scene::materials[0 … n) from the file, and Scene::textures with what those that a mesh
 /// uses need.
 void readGltfMaterials(SceneImport& import, const tinygltf::Model& model);

@@ -49,8 +49,9 @@ void intersectCoherent(const Tracer::Impl& impl, const RayBatch& rays, HitBatch&
         const int n = std::min(kPacket, rays.count - first);
         for (int i = 0; i < n; ++i) {
             const bool hit = packet.hit.geomID[i] != RTC_INVALID_GEOMETRY_ID;
-            hits.triangle[first + i]
-                = hit ? impl.triangleOf(packet.hit.geomID[i], packet.hit.primID[i]) : kMiss;
+            hits.triangle[first + i] = hit ? impl.triangleOf(packet.hit.geomID[i],
+                                           packet.hit.primID[i], packet.hit.instID[0][i])
+                                           : kMiss;
             hits.t[first + i] = packet.ray.tfar[i];
             hits.u[first + i] = packet.hit.u[i];
             hits.v[first + i] = packet.hit.v[i];
@@ -80,7 +81,8 @@ void intersectSingle(const Tracer::Impl& impl, const RayBatch& rays, HitBatch& h
         r.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
         rtcIntersect1(impl.embree, &context, &r);
         const bool hit = r.hit.geomID != RTC_INVALID_GEOMETRY_ID;
-        hits.triangle[i] = hit ? impl.triangleOf(r.hit.geomID, r.hit.primID) : kMiss;
+        hits.triangle[i]
+            = hit ? impl.triangleOf(r.hit.geomID, r.hit.primID, r.hit.instID[0]) : kMiss;
         hits.t[i] = r.ray.tfar;
         hits.u[i] = r.hit.u;
         hits.v[i] = r.hit.v;

@@ -39,7 +39,7 @@ struct RayBatch {
 
 struct HitBatch {
     alignas(64) float t[kBatch], u[kBatch], v[kBatch];
-    alignas(64) std::uint32_t triangle[kBatch]; ///< into Tracer::Impl::triangles, kMiss: none
+    alignas(64) std::uint32_t triangle[kBatch]; ///< see Tracer::Impl::triangleCount, kMiss: none
 };
 
 /// Closest hits of neighbouring rays, in packets of sixteen.

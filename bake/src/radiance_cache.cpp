@@ -144,10 +144,9 @@ private:
     double startSize()
     {
         double area = 0;
-        for (const auto& t : mTracer.triangles) {
-            const Vec3f &a = mTracer.vertices[t.vertex[0]], &b = mTracer.vertices[t.vertex[1]],
-                        &c = mTracer.vertices[t.vertex[2]];
-            area += (mTracer.materialOf(t).doubleSided ? 1.0 : 0.5) * (b - a).cross(c - a).length();
+        for (std::uint32_t i = 0; i < mTracer.triangleCount; ++i) {
+            const double once = static_cast<double>(mTracer.corners(i).areaVector().length()) / 2;
+            area += mTracer.materialOf(i).doubleSided ? 2 * once : once;
         }
         mSize = std::sqrt(area / static_cast<double>(mOptions.patches));
         return mSize;

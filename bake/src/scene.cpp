@@ -85,6 +85,7 @@ void hashMesh(ContentHasher& hasher, const Mesh& mesh)
     hasher.list(mesh.uv[1]);
     hasher.list(mesh.colors);
     hasher.list(mesh.triangles);
+    if (!mesh.instances.empty()) hasher.list(mesh.instances);
 }
 
 void hashTexture(ContentHasher& hasher, const Texture& texture)
@@ -125,6 +126,32 @@ std::set<std::string> lightGroups(const Scene& scene)
     return groups;
 }
 
+/// Whether all corners of @a inner, placed by @a m, lie in @a outer.
+bool contains(const Box3d& outer, const Box3d& inner, const Mat4d& m)
+{
+    for (int corner = 0; corner < 8; ++corner) {
+        const Vec3d p(corner & 1 ? inner.max.x : inner.min.x,
+            corner & 2 ? inner.max.y : inner.min.y, corner & 4 ? inner.max.z : inner.min.z);
+        if (!outer.intersects(transformAffine(m, p))) return false;
+    }
+    return true;
+}
+
+void extendByMesh(const Mesh& mesh, Box3d& box)
+{
+    Box3d own; // in the mesh's space
+    for (const auto& triangle : mesh.triangles) {
+        for (const std::uint32_t v : triangle) own.extendBy(mesh.positions[v]);
+    }
+    if (mesh.instances.empty()) box.extendBy(own);
+    for (std::size_t use = 0; use < mesh.instances.size(); ++use) {
+        if (own.isEmpty() || contains(box, own, mesh.instances[use])) continue;
+        for (const auto& triangle : mesh.triangles) {
+            for (const std::uint32_t v : triangle) box.extendBy(mesh.worldPosition(use, v));
+        }
+    }
+}
+
 std::string lowerExtension(const std::string& path)
 {
     std::string extension = std::filesystem::u8path(path).extension().u8string();
@@ -138,19 +165,23 @@ std::string lowerExtension(const std::string& path)
 
 Box3d Scene::bounds() const
 {
+    // One vertex of each instance first: then most of them lie within the box as they are, and
+    // only those at its border are walked through.
     Box3d box;
     for (const Mesh& mesh : meshes) {
-        for (const auto& triangle : mesh.triangles) {
-            for (const std::uint32_t v : triangle) box.extendBy(mesh.positions[v]);
+        if (mesh.triangles.empty()) continue;
+        for (std::size_t use = 0; use < mesh.instances.size(); ++use) {
+            box.extendBy(mesh.worldPosition(use, mesh.triangles[0][0]));
         }
     }
+    for (const Mesh& mesh : meshes) extendByMesh(mesh, box);
     return box;
 }
 
-std::size_t Scene::triangleCount() const
+std::uint64_t Scene::triangleCount() const
 {
-    std::size_t count = 0;
-    for (const Mesh& mesh : meshes) count += mesh.triangles.size();
+    std::uint64_t count = 0;
+    for (const Mesh& mesh : meshes) count += mesh.triangles.size() * std::uint64_t(mesh.uses());
     return count;
 }
 

@@ -15,8 +15,12 @@ namespace lumivdb {
 namespace {
 
 constexpr std::size_t kNamesPerWarning = 4;
-/// Indices into all triangles stay below 2³¹ everywhere, and memory stays thinkable.
-constexpr std::size_t kMaxTriangles = std::size_t(1) << 28;
+/// Triangles of the world are numbered in 32 bits, one number of which means none.
+constexpr std::uint64_t kMaxTriangles = 0xfffffffe;
+/// Of those in memory, so that it stays thinkable.
+constexpr std::uint64_t kMaxStored = std::uint64_t(1) << 28;
+/// Transforms of less relative volume make a sheet, a line or a point of their mesh.
+constexpr double kFlat = 1e-9;
 
 bool isFinite(const Vec3d& p)
 {
@@ -33,19 +37,21 @@ bool isDegenerate(const Vec3d& a, const Vec3d& b, const Vec3d& c)
     return !(ab.cross(ac).length() > 1e-14 * longest);
 }
 
-/// True where the linear part of @a m turns the sense of rotation round.
-bool mirrors(const Mat4d& m)
+/// Determinant of the linear part over the product of the lengths of its rows; 0 where it is flat.
+double relativeVolume(const Mat4d& m)
 {
     const Vec3d x(m[0][0], m[0][1], m[0][2]), y(m[1][0], m[1][1], m[1][2]);
     const Vec3d z(m[2][0], m[2][1], m[2][2]);
-    return x.cross(y).dot(z) < 0;
+    const double lengths = x.length() * y.length() * z.length();
+    return lengths > 0 ? x.cross(y).dot(z) / lengths : 0;
 }
 
-Vec3d transformAffine(const Mat4d& m, const Vec3d& p)
+Mat4d absolute(Mat4d m)
 {
-    return {p.x * m[0][0] + p.y * m[1][0] + p.z * m[2][0] + m[3][0],
-        p.x * m[0][1] + p.y * m[1][1] + p.z * m[2][1] + m[3][1],
-        p.x * m[0][2] + p.y * m[1][2] + p.z * m[2][2] + m[3][2]};
+    for (int i = 0; i < 4; ++i) {
+        for (int j = 0; j < 4; ++j) m[i][j] = std::abs(m[i][j]);
+    }
+    return m;
 }
 
 /// Tracers look up uv of every textured hit; a mesh without any samples texel (0, 0).
@@ -87,6 +93,79 @@ void clampBaseColorTextures(SceneImport& import)
         }
         slot = clamped[source];
     }
+}
+
+void checkFinite(const SceneImport& import, const LocalMesh& source)
+{
+    Vec3d largest(0.0); // of each coordinate's magnitudes
+    const auto check = [&](std::size_t vertex, const Vec3d& p) {
+        if (isFinite(p)) return;
+        import.fail("mesh '" + source.name + "' vertex "
+            + std::to_string(source.sourceVertex[vertex])
+            + " has a position that is not finite; repair the mesh");
+    };
+    for (std::size_t i = 0; i < source.positions.size(); ++i) {
+        const Vec3d& p = source.positions[i];
+        check(i, p);
+        for (int a = 0; a < 3; ++a) largest[a] = std::max(largest[a], std::abs(p[a]));
+    }
+    for (const auto& places : source.places) {
+        for (const Mat4d& place : places) {
+            // Where the largest that could come out is finite, nobody needs to look closer.
+            if (isFinite(transformAffine(absolute(place), largest))) continue;
+            for (std::size_t i = 0; i < source.positions.size(); ++i) {
+                check(i, transformAffine(place, source.positions[i]));
+            }
+        }
+    }
+}
+
+/// All of @a source but its triangles, in its own space.
+Mesh withoutTriangles(const LocalMesh& source)
+{
+    Mesh mesh;
+    mesh.name = source.name;
+    mesh.material = source.material;
+    mesh.positions = source.positions;
+    for (int set = 0; set < 2; ++set) mesh.uv[set] = source.uv[set];
+    mesh.colors = source.colors;
+    return mesh;
+}
+
+/// Gives @a mesh the triangles of @a source that have an area, before and after it was placed, and
+/// adds it to the scene.
+void addMesh(SceneImport& import, const LocalMesh& source, bool mirrored, Mesh&& mesh)
+{
+    const auto &own = source.positions, &placed = mesh.positions;
+    mesh.triangles.reserve(source.triangles.size());
+    for (const auto& t : source.triangles) {
+        if (isDegenerate(own[t[0]], own[t[1]], own[t[2]])
+            || isDegenerate(placed[t[0]], placed[t[1]], placed[t[2]])) {
+            ++import.degenerate;
+            continue;
+        }
+        mesh.triangles.push_back(mirrored ? std::array<std::uint32_t, 3>{t[0], t[2], t[1]} : t);
+    }
+    import.stored += mesh.triangles.size();
+    if (import.stored > kMaxStored) {
+        import.fail(
+            "it has more than " + std::to_string(kMaxStored) + " triangles; bake parts of it");
+    }
+    if (!mesh.triangles.empty()) import.scene.meshes.push_back(std::move(mesh));
+}
+
+void addPlaced(SceneImport& import, const LocalMesh& source, const Mat4d& toWorld)
+{
+    Mesh mesh = withoutTriangles(source);
+    for (Vec3d& p : mesh.positions) p = transformAffine(toWorld, p);
+    addMesh(import, source, relativeVolume(toWorld) < 0, std::move(mesh));
+}
+
+void addInstanced(SceneImport& import, const LocalMesh& source, bool mirrored)
+{
+    Mesh mesh = withoutTriangles(source);
+    mesh.instances = source.places[mirrored ? 1 : 0];
+    addMesh(import, source, mirrored, std::move(mesh));
 }
 
 bool isBlack(const Color& c) { return c.x <= 0 && c.y <= 0 && c.z <= 0; }
@@ -136,40 +215,30 @@ void SceneImport::fail(const std::string& what) const
     throw Error(ErrorCode::Input, path + ": " + what + ".");
 }
 
-void placeMesh(SceneImport& import, const LocalMesh& source, const Mat4d& toWorld)
+void placeMesh(SceneImport& import, std::size_t mesh, const Mat4d& toWorld)
 {
-    Mesh mesh;
-    mesh.name = source.name;
-    mesh.material = source.material;
-    mesh.positions.reserve(source.positions.size());
-    for (std::size_t i = 0; i < source.positions.size(); ++i) {
-        mesh.positions.push_back(transformAffine(toWorld, source.positions[i]));
-        if (!isFinite(source.positions[i]) || !isFinite(mesh.positions.back())) {
-            import.fail("mesh '" + source.name + "' vertex "
-                + std::to_string(source.sourceVertex[i])
-                + " has a position that is not finite; repair the mesh");
-        }
-    }
-    const bool flip = mirrors(toWorld);
-    const auto& local = source.positions;
-    for (const auto& t : source.triangles) {
-        const auto& world = mesh.positions;
-        if (isDegenerate(local[t[0]], local[t[1]], local[t[2]])
-            || isDegenerate(world[t[0]], world[t[1]], world[t[2]])) {
-            ++import.degenerate;
-            continue;
-        }
-        mesh.triangles.push_back(flip ? std::array<std::uint32_t, 3>{t[0], t[2], t[1]} : t);
-    }
-    import.triangles += mesh.triangles.size();
+    LocalMesh& source = import.meshes[mesh];
+    import.triangles += source.triangles.size();
     if (import.triangles > kMaxTriangles) {
         import.fail("it has more than " + std::to_string(kMaxTriangles)
-            + " triangles once instances are expanded; bake parts of it");
+            + " triangles, those of instances counted each time; bake parts of it");
     }
-    if (mesh.triangles.empty()) return;
-    for (int set = 0; set < 2; ++set) mesh.uv[set] = source.uv[set];
-    mesh.colors = source.colors;
-    import.scene.meshes.push_back(std::move(mesh));
+    const double volume = relativeVolume(toWorld);
+    const int kind = std::abs(volume) > kFlat ? (volume < 0 ? 1 : 0) : 2;
+    source.places[kind].push_back(toWorld);
+}
+
+void finishMeshes(SceneImport& import)
+{
+    for (LocalMesh& source : import.meshes) {
+        checkFinite(import, source);
+        for (int kind = 0; kind < 2; ++kind) {
+            if (source.places[kind].size() == 1) addPlaced(import, source, source.places[kind][0]);
+            if (source.places[kind].size() > 1) addInstanced(import, source, kind == 1);
+        }
+        for (const Mat4d& place : source.places[2]) addPlaced(import, source, place);
+        source = LocalMesh(); // scenes are large: nothing stays twice
+    }
 }
 
 Color clampReflectance(SceneImport& import, const Color& factor, const std::string& material)

@@ -32,19 +32,6 @@ private:
     std::vector<Entry> mEntries;
 };
 
-/// A scene while it is read.
-struct SceneImport {
-    std::string path; ///< as the user gave it
-    Scene scene;
-    WarningList warnings;
-    std::size_t triangles = 0; ///< placed so far
-    std::size_t degenerate = 0; ///< dropped so far
-    int noMaterial = -1; ///< number of the material for geometry that has none
-
-    /// @throws Error(Input) "PATH: what."
-    [[noreturn]] void fail(const std::string& what) const;
-};
-
 /// Triangles in the space of their node: one primitive of one material.
 struct LocalMesh {
     std::string name;
@@ -54,11 +41,32 @@ struct LocalMesh {
     std::vector<Vec2f> uv[2];
     std::vector<std::array<float, 4>> colors;
     std::vector<std::array<std::uint32_t, 3>> triangles;
+    std::vector<Mat4d> places[3]; ///< to world: those that keep fronts, mirror, or flatten it
 };
 
-/// Adds an instance of @a mesh: transforms in double precision, drops degenerate triangles, turns
-/// the winding round where @a toWorld mirrors, so that front sides stay front sides.
-void placeMesh(SceneImport& import, const LocalMesh& mesh, const Mat4d& toWorld);
+/// A scene while it is read.
+struct SceneImport {
+    std::string path; ///< as the user gave it
+    Scene scene;
+    WarningList warnings;
+    std::vector<LocalMesh> meshes; ///< in the sequence of their first use
+    std::uint64_t triangles = 0; ///< in the world so far, those of instances each time
+    std::uint64_t stored = 0; ///< in the scene's meshes so far
+    std::size_t degenerate = 0; ///< dropped so far
+    int noMaterial = -1; ///< number of the material for geometry that has none
+
+    /// @throws Error(Input) "PATH: what."
+    [[noreturn]] void fail(const std::string& what) const;
+};
+
+/// Adds an instance of SceneImport::meshes[@a mesh].
+void placeMesh(SceneImport& import, std::size_t mesh, const Mat4d& toWorld);
+
+/// Moves all that is placed into the scene, once nothing more comes. What has one place is
+/// transformed, in double precision; what has several becomes a mesh with instances, and one more
+/// for the instances that mirror: their winding is turned round, so that front sides stay front
+/// sides. Drops degenerate triangles.
+void finishMeshes(SceneImport& import);
 
 /// Clamps @a factor to [0, 1] with a warning: a surface that reflects more than it gets would
 /// never settle.

@@ -17,20 +17,15 @@ namespace {
 /// Members of a group look the same way: cosine of their normal with the first member's.
 constexpr float kGroupCosine = 0.9f;
 
-using Corners = std::array<Vec3f, 3>;
-
 Corners cornersOf(const Tracer::Impl& impl, std::uint32_t element)
 {
-    const auto& t = impl.triangles[element / 2];
-    return {impl.vertices[t.vertex[0]], impl.vertices[t.vertex[1]], impl.vertices[t.vertex[2]]};
+    return impl.corners(element / 2);
 }
-
-Vec3f areaVector(const Corners& c) { return (c[1] - c[0]).cross(c[2] - c[0]) * 0.5f; }
 
 float longestSide(const Corners& c)
 {
     return std::sqrt(
-        std::max({(c[1] - c[0]).length2(), (c[2] - c[1]).length2(), (c[0] - c[2]).length2()}));
+        std::max({(c.b - c.a).length2(), (c.c - c.b).length2(), (c.a - c.c).length2()}));
 }
 
 struct Bounds {
@@ -44,7 +39,9 @@ struct Bounds {
     }
     void add(const Corners& c)
     {
-        for (const Vec3f& p : c) add(p);
+        add(c.a);
+        add(c.b);
+        add(c.c);
     }
     float size() const { return (high - low).length(); }
 };
@@ -73,6 +70,7 @@ std::vector<std::uint32_t> places(const std::vector<Vec3f>& vertices)
 struct Growing {
     Bounds bounds;
     Vec3f normal;
+    const Tracer::Impl::Instance* instance;
 };
 
 } // namespace
@@ -80,7 +78,7 @@ struct Growing {
 SurfacePatches::SurfacePatches(const Tracer::Impl& impl, double size)
     : mImpl(impl)
 {
-    mRoot.assign(2 * impl.triangles.size(), kNone);
+    mRoot.assign(2 * static_cast<std::size_t>(impl.triangleCount), kNone);
     group(size);
     // Index 0 means "undivided", and no part ever has it: parts come after their whole.
     for (Id id = 0; id < mChild.size(); ++id) {
@@ -98,24 +96,26 @@ void SurfacePatches::group(double size)
     std::array<std::vector<std::uint32_t>, 2> last; // group that holds a vertex, by side
     for (auto& l : last) l.assign(mImpl.vertices.size(), kNone);
     for (std::uint32_t element = 0; element < mRoot.size(); ++element) {
-        const auto& triangle = mImpl.triangles[element / 2];
+        const Tracer::Impl::Instance* instance = mImpl.instanceOf(element / 2);
+        const auto& triangle = mImpl.stored(element / 2, instance);
         const bool behind = element % 2 != 0;
         if (behind && !mImpl.materialOf(triangle).doubleSided) continue;
         const Corners c = cornersOf(mImpl, element);
-        const Vec3f normal = areaVector(c).normalized();
-        if (!(areaVector(c).length() > 0)) continue;
+        if (!(c.areaVector().length() > 0)) continue;
+        const Vec3f normal = c.areaVector().normalized();
         std::uint32_t chosen = kNone;
         const bool small = longestSide(c) <= size;
         for (int k = 0; k < 3 && small && chosen == kNone; ++k) {
             const std::uint32_t g = last[behind][place[triangle.vertex[k]]];
-            if (g == kNone || groups[g].normal.dot(normal) < kGroupCosine) continue;
+            if (g == kNone || groups[g].instance != instance) continue;
+            if (groups[g].normal.dot(normal) < kGroupCosine) continue;
             Bounds joined = groups[g].bounds;
             joined.add(c);
             if (joined.size() <= size) chosen = g;
         }
         if (chosen == kNone) {
             chosen = static_cast<std::uint32_t>(groups.size());
-            groups.push_back({{}, normal});
+            groups.push_back({{}, normal, instance});
         }
         groups[chosen].bounds.add(c);
         groupOf[element] = chosen;
@@ -143,7 +143,7 @@ void SurfacePatches::sumAreas(std::uint32_t first, std::uint32_t count)
 {
     for (std::uint32_t i = first; i < first + count; ++i) {
         mAreaBefore[i + 1]
-            = mAreaBefore[i] + static_cast<double>(areaVector(cornersOf(mImpl, mMembers[i])).length());
+            = mAreaBefore[i] + static_cast<double>(cornersOf(mImpl, mMembers[i]).areaVector().length() / 2);
     }
 }
 
@@ -170,10 +170,10 @@ void SurfacePatches::measure(Patch& patch) const
         patch.extent = bounds.size();
     } else {
         Corners c = cornersOf(mImpl, mMembers[patch.first]);
-        const Vec3f ab = c[1] - c[0], ac = c[2] - c[0];
-        c[0] += ab * patch.u + ac * patch.v;
-        c[1] = c[0] + ab * patch.scale;
-        c[2] = c[0] + ac * patch.scale;
+        const Vec3f ab = c.b - c.a, ac = c.c - c.a;
+        c.a += ab * patch.u + ac * patch.v;
+        c.b = c.a + ab * patch.scale;
+        c.c = c.a + ac * patch.scale;
         bounds.add(c);
         patch.extent = longestSide(c);
     }
@@ -220,7 +220,7 @@ bool SurfacePatches::halve(Id id)
     const int axis = p.axis[0];
     const auto below = [&](std::uint32_t element) {
         const Corners c = cornersOf(mImpl, element);
-        return (c[0][axis] + c[1][axis] + c[2][axis]) / 3 < p.middle[axis];
+        return (c.a[axis] + c.b[axis] + c.c[axis]) / 3 < p.middle[axis];
     };
     auto half = static_cast<std::uint32_t>(std::stable_partition(begin, end, below) - begin);
     if (half == 0 || half == p.count) half = p.count / 2;
@@ -249,7 +249,7 @@ SurfacePoint SurfacePatches::sample(Id id, const Vec2f& square, float choice) co
     const float scale = p.scale == 0 ? 1.0f : p.scale;
     const float u = p.u + scale * place.x, v = p.v + scale * place.y;
     const std::uint32_t element = mMembers[member];
-    const Vec3f normal = areaVector(cornersOf(mImpl, element));
+    const Vec3f normal = cornersOf(mImpl, element).areaVector();
     return mImpl.surfaceAt(element / 2, u, v, element % 2 != 0 ? normal : -normal);
 }
 

@@ -176,13 +176,10 @@ bool CellCutter::isSolid(const Vec3f& place, const std::array<Met, kAround>& aro
     const auto isBack = [&](std::size_t d) {
         const Met& m = around[d];
         if (m.triangle == kMiss) return false;
-        const auto& t = mImpl.triangles[m.triangle];
-        if (mImpl.materialOf(t).doubleSided) return false;
-        const Vec3f &a = mImpl.vertices[t.vertex[0]], &b = mImpl.vertices[t.vertex[1]],
-                    &c = mImpl.vertices[t.vertex[2]];
+        if (mImpl.materialOf(m.triangle).doubleSided) return false;
         const Vec3f& direction = lookAroundDirections()[d];
         // A front may lie in the same place.
-        return (b - a).cross(c - a).dot(direction) > 0
+        return mImpl.corners(m.triangle).areaVector().dot(direction) > 0
             && mImpl.surfaceSeen(place, direction, m.triangle, m.t, m.u, m.v).backFace;
     };
     std::size_t nearest = 0;

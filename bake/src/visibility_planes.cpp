@@ -74,10 +74,9 @@ std::vector<CellSurface> clipToCell(
     std::vector<CellSurface> surfaces;
     const std::size_t step = (triangles.size() + kMaxTriangles - 1) / kMaxTriangles;
     for (std::size_t i = 0; i < triangles.size(); i += step) {
-        const auto& t = impl.triangles[triangles[i]];
+        const Corners t = impl.corners(triangles[i]);
         CellSurface s;
-        for (const std::uint32_t v : t.vertex)
-            s.polygon.push_back(frame.cell(Vec3d(impl.vertices[v])));
+        for (const Vec3f& p : {t.a, t.b, t.c}) s.polygon.push_back(frame.cell(Vec3d(p)));
         // Of the whole triangle: slivers that clipping leaves have no good normal.
         s.normal = areaVector(s.polygon);
         const double length = s.normal.length();
@@ -89,7 +88,7 @@ std::vector<CellSurface> clipToCell(
         }
         if (s.polygon.size() < 3) continue;
         s.area = areaVector(s.polygon).length();
-        s.doubleSided = impl.materialOf(t).doubleSided;
+        s.doubleSided = impl.materialOf(triangles[i]).doubleSided;
         if (s.area > kMinArea) surfaces.push_back(std::move(s));
     }
     std::stable_sort(surfaces.begin(), surfaces.end(),

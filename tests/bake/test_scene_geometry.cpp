@@ -99,18 +99,64 @@ TEST_CASE("scene: mirrored instances keep their front sides", "[scene]")
     }
 }
 
-TEST_CASE("scene: instances are expanded, and bounds cover them", "[scene]")
+TEST_CASE("scene: nodes that share a mesh are its instances, and bounds cover them", "[scene]")
 {
     const TempFolder folder;
     GltfBuilder b;
     b.vec3(kTriangle);
+    // Two as they are, two mirrored, one that is flattened to a line and one of half a triangle.
     const Scene scene
         = load(folder, b.gltf(R"("meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}],
-        "nodes":[{"mesh":0},{"mesh":0,"translation":[10,0,-2]}],"scenes":[{"nodes":[0,1]}])"));
-    CHECK(scene.meshes.size() == 2);
-    CHECK(scene.triangleCount() == 2);
-    CHECK(scene.bounds().min == Vec3d(0, 0, -2));
-    CHECK(scene.bounds().max == Vec3d(11, 1, 0));
+        "nodes":[{"mesh":0},{"mesh":0,"scale":[-1,1,1]},{"mesh":0,"translation":[10,0,-2]},
+                 {"mesh":0,"scale":[0,1,1]},{"mesh":0,"scale":[1,1,-2],"translation":[0,0,5]},
+                 {"mesh":0,"scale":[1,0.5,0]}],
+        "scenes":[{"nodes":[0,1,2,3,4,5]}])"));
+    REQUIRE(scene.meshes.size() == 3);
+    CHECK(scene.triangleCount() == 5);
+    CHECK(countWarnings(scene, "1 degenerate") == 1);
+    for (int m = 0; m < 2; ++m) {
+        const Mesh& mesh = scene.meshes[static_cast<std::size_t>(m)];
+        REQUIRE(mesh.instances.size() == 2);
+        CHECK(mesh.positions[1] == Vec3d(1, 0, 0));
+    }
+    CHECK(scene.meshes[0].worldPosition(1, 1) == Vec3d(11, 0, -2));
+    CHECK(scene.meshes[1].worldPosition(0, 1) == Vec3d(-1, 0, 0));
+    CHECK(normalOf(scene.meshes[0], 0) == Vec3d(0, 0, 1));
+    CHECK(normalOf(scene.meshes[1], 0) == Vec3d(0, 0, -1)); // which the mirrors turn round
+    CHECK(scene.meshes[2].instances.empty());
+    CHECK(scene.meshes[2].positions[2] == Vec3d(0, 0.5, 0));
+    CHECK(scene.bounds().min == Vec3d(-1, 0, -2));
+    CHECK(scene.bounds().max == Vec3d(11, 1, 5));
+}
+
+TEST_CASE("scene: instances of EXT_mesh_gpu_instancing", "[scene]")
+{
+    const TempFolder folder;
+    GltfBuilder b;
+    b.vec3(kTriangle);
+    b.vec3({0, 0, 0, 1, 0, 0}); // translations
+    // Rotations as normalised shorts: none, and 180° about Y.
+    const std::vector<std::int16_t> turns = {0, 0, 0, 32767, 0, 32767, 0, 0};
+    b.accessor(b.view(bytesOf(turns)), 5122, 2, "VEC4", R"("normalized":true)");
+    b.vec3({2, 2, 2, 1, 3, 1}); // scales
+    const std::string mesh = R"("meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}],)";
+    const auto text = [&](const std::string& attributes) {
+        return b.gltf(mesh + R"("nodes":[{"mesh":0,"translation":[0,0,10],"extensions":{
+            "EXT_mesh_gpu_instancing":{"attributes":{)"
+            + attributes + R"(}}}}],"extensionsUsed":["EXT_mesh_gpu_instancing"],
+            "extensionsRequired":["EXT_mesh_gpu_instancing"])");
+    };
+    const Scene scene = load(folder, text(R"("TRANSLATION":1,"ROTATION":2,"SCALE":3)"));
+    REQUIRE(scene.meshes.size() == 1);
+    REQUIRE(scene.meshes[0].instances.size() == 2);
+    CHECK(countWarnings(scene, "EXT_mesh_gpu_instancing") == 0);
+    CHECK(scene.meshes[0].worldPosition(0, 1) == Vec3d(2, 0, 10));
+    CHECK((scene.meshes[0].worldPosition(1, 1) - Vec3d(0, 0, 10)).length() < 1e-12);
+    CHECK((scene.meshes[0].worldPosition(1, 2) - Vec3d(1, 3, 10)).length() < 1e-12);
+    CHECK(load(folder, text(R"("_ID":1)")).triangleCount() == 1);
+    CHECK_THROWS_WITH(
+        load(folder, text(R"("TRANSLATION":1,"SCALE":0)")), Catch::Contains("different lengths"));
+    CHECK_THROWS_WITH(load(folder, text(R"("TRANSLATION":9)")), Catch::Contains("accessor"));
 }
 
 TEST_CASE("scene: index types", "[scene]")

@@ -167,8 +167,8 @@ def on_surface(lab):
         near(row["Er"], 2 * math.pi, 0.08 * 2 * math.pi, row)
     return ("probe: L = " + ", ".join(f"{row['L']:.3g}" for row in rows[:3])
             + " on a face, an edge, a corner of the furnace (exact: 2): a point on a surface is moved "
-            "off it by 1e-5 of the scene's diagonal, to its inner side. bake: by a thousandth of the "
-            "spacing; E = "
+            "off it by four times the surface's rounding (4e-6 of its largest coordinate), to its inner "
+            "side. bake: by a thousandth of the spacing; E = "
             + ", ".join(f"{row['Er']:.4g}" for row in lit[:3]) + " there (exact: 6.283)")
 
 
@@ -201,6 +201,20 @@ def sizes(lab):
         said.append(f"{2 * scale:g} m: L = {row['L']:.5g} by probe (exact: 2), E = {lit['Er']:.4g} "
                     f"in a volume (exact: 6.283) with a spacing of {report['spacing']:g} of its own")
     return "; ".join(said)
+
+
+def wide(lab):
+    """A room of 2 m in a scene of 1e5 m"""
+    unit = lab.probe(lab.write("unit.gltf", sf.scene()), [(0.5, 0.2, -0.3)])[0]
+    document = sf.gltf(node={"translation": [3e4, 0, 2e4]})
+    document["nodes"].append({"mesh": 0, "scale": [5e4] * 3})
+    document["scenes"] = [{"nodes": [0, 1]}]
+    scene = lab.write("wide.gltf", sf.text(document))
+    row = lab.probe(scene, [(3e4 + 0.5, 0.2, 2e4 - 0.3)])[0]
+    near(row["L"], 2, 5 * row["stderr_L"], "L")
+    near(row["distance"], unit["distance"], 1e-4, "distance")
+    return (f"36 km from the middle: L = {row['L']:.4g} ± {row['stderr_L']:.2g} in the furnace "
+            f"(exact: 2), mean distance {row['distance']:.5g} m, {unit['distance']:.5g} in the room alone")
 
 
 def pinhole(lab):
@@ -373,7 +387,7 @@ def ten_million_triangles(lab):
     return triangles(lab, 10)
 
 
-CASES = [furnace, thin_wall, bad_triangles, on_surface, far, sizes, pinhole, broken_sky, dark,
+CASES = [furnace, thin_wall, bad_triangles, on_surface, far, sizes, wide, pinhole, broken_sky, dark,
          one_voxel, half, ringing, axis_rays, many_triangles]
 LARGE = [million_triangles, ten_million_triangles]
 

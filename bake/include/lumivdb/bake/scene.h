@@ -59,14 +59,36 @@ struct Material {
     bool emitsFrontOnly = false;
 };
 
-/// Indexed triangles of one material in world space (instances are expanded).
+/// @a p (row vector) times an affine matrix.
+inline Vec3d transformAffine(const Mat4d& m, const Vec3d& p)
+{
+    return {p.x * m[0][0] + p.y * m[1][0] + p.z * m[2][0] + m[3][0],
+        p.x * m[0][1] + p.y * m[1][1] + p.z * m[2][1] + m[3][1],
+        p.x * m[0][2] + p.y * m[1][2] + p.z * m[2][2] + m[3][2]};
+}
+
+/// Indexed triangles of one material, in world space or, where the mesh has instances, in a space
+/// of its own that they place in the world.
 struct Mesh {
     std::string name;
     int material = 0;
-    std::vector<Vec3d> positions; ///< world units
+    std::vector<Vec3d> positions; ///< world units; in the mesh's own space where it has instances
     std::vector<Vec2f> uv[2]; ///< empty or one per position
     std::vector<std::array<float, 4>> colors; ///< linear RGBA, empty or one per position
-    std::vector<std::array<std::uint32_t, 3>> triangles; ///< counter-clockwise seen from the front
+    /// Counter-clockwise seen from the front, in the world: an instance that mirrors turns the
+    /// fronts round, so importers keep a mesh with turned triangles for those.
+    std::vector<std::array<std::uint32_t, 3>> triangles;
+    /// Own space to world, affine, row vectors; empty: the mesh is there once, in world space.
+    std::vector<Mat4d> instances;
+
+    /// How many times the mesh is in the world.
+    std::size_t uses() const { return instances.empty() ? 1 : instances.size(); }
+    /// Where instance @a use < uses() has its vertex.
+    Vec3d worldPosition(std::size_t use, std::size_t vertex) const
+    {
+        return instances.empty() ? positions[vertex]
+                                 : transformAffine(instances[use], positions[vertex]);
+    }
 };
 
 enum class LightType { Point, Spot, Directional };
@@ -102,16 +124,17 @@ struct Scene {
     std::string contentHash;
 
     Box3d bounds() const; ///< of all triangles; empty where there is none
-    std::size_t triangleCount() const;
+    std::uint64_t triangleCount() const; ///< in the world: those of an instance count each time
 };
 
 /// Reads glTF 2.0 (.gltf, .glb) and what Assimp reads (.obj first).
 ///
 /// glTF: textures (embedded, data URI or file), alpha mask, KHR_materials_emissive_strength,
 /// KHR_materials_unlit (said as a warning), KHR_lights_punctual, KHR_texture_transform, node
-/// hierarchies and instances, vertex colours, both UV sets, sparse accessors, all primitive modes
-/// that make triangles. Mirrored instances keep their front sides. What is ignored is listed in
-/// Scene::warnings. Degenerate triangles are dropped with a warning that counts them.
+/// hierarchies, vertex colours, both UV sets, sparse accessors, all primitive modes
+/// that make triangles. A mesh that several nodes share (or EXT_mesh_gpu_instancing repeats) is
+/// kept once, with instances. Mirrored instances keep their front sides. What is ignored is listed
+/// in Scene::warnings. Degenerate triangles are dropped with a warning that counts them.
 /// @throws Error(Input) for: file missing or unreadable, not parseable, an index or buffer out of
 /// range, non-finite positions or transforms (naming mesh and vertex), a required extension that is
 /// not known. A missing texture is a warning; its slot is white.
