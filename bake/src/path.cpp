@@ -178,7 +178,7 @@ void PathTracer::startPaths(
 
 void PathTracer::addUnoccluded(PathBatchResult& result)
 {
-    occlude(mImpl, mShadow, mOccluded);
+    occludeScattered(mImpl, mShadow, mOccluded);
     note(mShadow, true);
     result.traced += static_cast<std::uint64_t>(mShadow.count);
     for (int j = 0; j < mShadow.count; ++j) {
@@ -285,7 +285,7 @@ void PathTracer::scatter(int bounce, PathBatchResult& result)
         mNext.push(path.surface.leaving(), cosineDirection(path.surface.normal, u1, u2), kInfinity);
         mPaths[alive++] = path;
     }
-    intersectSingle(mImpl, mNext, mNextHits);
+    intersectScattered(mImpl, mNext, mNextHits);
     note(mNext, false);
     result.traced += static_cast<std::uint64_t>(mNext.count);
 
