@@ -68,11 +68,7 @@ Vec2f sphereToSquare(const Vec3f& d)
 {
     const float r = std::sqrt(std::max(0.0f, 1 - std::abs(d.z)));
     const float ax = std::abs(d.x), ay = std::abs(d.y), most = std::max(ax, ay);
-    // 2/π · atan of the smaller over the larger (Abramowitz & Stegun 4.4.49, error 1e-5).
-    const float q = most > 0 ? std::min(ax, ay) / most : 0.0f, q2 = q * q;
-    const float angle = q * 0.636619772f
-        * (0.9998660f
-            + q2 * (-0.3302995f + q2 * (0.1801410f + q2 * (-0.0851330f + q2 * 0.0208351f))));
+    const float angle = most > 0 ? quarterTurns(std::min(ax, ay) / most) : 0.0f;
     float v = r * (ay > ax ? 1 - angle : angle);
     float u = r - v;
     if (d.z < 0) {

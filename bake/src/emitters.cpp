@@ -44,16 +44,24 @@ std::size_t EmitterTable::choose(double& t) const
     return index;
 }
 
-EmitterSample EmitterTable::sampleEnvironment(double u, double v) const
+EmitterSample EmitterTable::environmentSample(const Environment::Sample& e) const
 {
     EmitterSample s;
-    if (!mEnvironment) return s;
-    const Environment::Sample e = mEnvironment->sample(u, v);
     s.direction = Vec3f(e.direction);
     s.infinite = true;
     s.radiance = e.radiance;
     s.pdf = e.pdf * mEnvironmentProbability;
     return s;
+}
+
+EmitterSample EmitterTable::sampleEnvironment(double u, double v) const
+{
+    return mEnvironment ? environmentSample(mEnvironment->sample(u, v)) : EmitterSample();
+}
+
+EmitterSample EmitterTable::drawEnvironment(double t, double u, double v) const
+{
+    return mEnvironment ? environmentSample(mEnvironment->draw(t, u, v)) : EmitterSample();
 }
 
 double EmitterTable::pdfTriangle(int emitter, double distance, double cosine) const

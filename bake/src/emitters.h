@@ -57,6 +57,8 @@ public:
     /// Density of sample() for a triangle met at @a distance under |cos| = @a cosine.
     double pdfTriangle(int emitter, double distance, double cosine) const;
     double pdfEnvironment(const Vec3f& direction) const;
+    /// Of drawing the environment.
+    double environmentProbability() const { return mEnvironmentProbability; }
 
 private:
     std::size_t choose(double& t) const;
@@ -64,6 +66,8 @@ private:
     EmitterSample samplePoint(
         std::size_t chosen, const Vec3f& from, double s, double t, const Emission& emission) const;
     EmitterSample sampleEnvironment(double u, double v) const;
+    EmitterSample drawEnvironment(double t, double u, double v) const;
+    EmitterSample environmentSample(const Environment::Sample& e) const;
 
     std::vector<Triangle> mTriangles;
     std::shared_ptr<const Environment> mEnvironment;

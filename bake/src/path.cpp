@@ -153,8 +153,9 @@ void PathTracer::startPaths(
         result.plane[i] = InversePlane();
         if (result.hits.triangle[i] == kMiss) {
             if (!direct || !mImpl.scene->environment) continue;
-            result.uniform[i] = mImpl.scene->environment->radiance(Vec3d(d))
-                * weight(mImpl.emitters.pdfEnvironment(d));
+            const Environment::Arrival light = mImpl.scene->environment->arrival(Vec3d(d));
+            result.uniform[i]
+                = light.radiance * weight(light.pdf * mImpl.emitters.environmentProbability());
             continue;
         }
         Path& path = mPaths[mPathCount];
@@ -299,9 +300,9 @@ void PathTracer::scatter(int bounce, PathBatchResult& result)
         if (!(cosinePdf > 0)) continue;
         if (mNextHits.triangle[j] == kMiss) {
             if (!mImpl.scene->environment) continue;
-            result.uniform[path.stratum] += path.throughput
-                * mImpl.scene->environment->radiance(Vec3d(d))
-                * weight(mImpl.emitters.pdfEnvironment(d));
+            const Environment::Arrival light = mImpl.scene->environment->arrival(Vec3d(d));
+            result.uniform[path.stratum] += path.throughput * light.radiance
+                * weight(light.pdf * mImpl.emitters.environmentProbability());
             continue;
         }
         const SurfacePoint s = mImpl.surfaceSeen(path.surface.leaving(), d, mNextHits.triangle[j],

@@ -61,8 +61,17 @@ public:
     /// Draws a direction from u, v ∈ [0,1). Continuous in (u, v) almost everywhere, so that
     /// stratified (u, v) give stratified directions.
     Sample sample(double u, double v) const;
-    /// Density of sample() at @a d, per steradian.
+    /// The same distribution from independent numbers: t draws the texel, in a step instead of two
+    /// searches, and (u, v) the point in it.
+    Sample draw(double t, double u, double v) const;
+    /// Density of sample() and of draw() at @a d, per steradian.
     double pdf(const Vec3d& d) const;
+    struct Arrival {
+        Color radiance;
+        double pdf;
+    };
+    /// radiance() and pdf() at once.
+    Arrival arrival(const Vec3d& d) const;
 
     /// ∫ luminance dω, for choosing between lights.
     double power() const;
