@@ -3,6 +3,8 @@
 
 #include "directions.h"
 
+#include <tbb/parallel_for.h>
+
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -60,7 +62,37 @@ void pushShadow(RayBatch& rays, const Vec3f& from, const EmitterSample& s)
     }
 }
 
+/// Emitter sample of a stratum at a probe at @a p.
+EmitterSample drawStratum(
+    const Tracer::Impl& impl, const ProbeOptions& options, const Vec3f& p, std::uint64_t stratum)
+{
+    const double t = jitteredStratum(
+        options.seed ^ kEmitterStream, stratum, static_cast<std::uint64_t>(options.rays));
+    return impl.emitters.sampleStratum(p, t, [&](std::uint32_t triangle, float u, float v) {
+        return impl.emissionAt(impl.triangles[triangle], u, v);
+    });
+}
+
+/// Balance heuristic over one uniform and one emitter direction a stratum.
+Color probeValue(const EmitterSample& s)
+{
+    return s.radiance * static_cast<float>(1 / (s.pdf + kUniformPdf));
+}
+
 } // namespace
+
+std::vector<InfiniteStratum> infiniteStrata(const Tracer::Impl& impl, const ProbeOptions& options)
+{
+    std::vector<InfiniteStratum> strata;
+    if (!(impl.emitters.environmentProbability() > 0)) return strata;
+    if (options.contribution == Contribution::Indirect) return strata;
+    strata.resize(static_cast<std::size_t>(options.rays));
+    tbb::parallel_for(std::size_t{0}, strata.size(), [&](std::size_t i) {
+        const EmitterSample s = drawStratum(impl, options, Vec3f(0), i);
+        if (s.infinite && s.pdf > 0) strata[i] = {s.direction, probeValue(s)};
+    });
+    return strata;
+}
 
 InversePlane::InversePlane(const Vec3f& normal, const Vec3f& direction, float distance)
     : inverse(1 / std::max(distance, kNearest))
@@ -112,25 +144,27 @@ void PathTracer::sampleEmittersAtProbe(
     const Vec3f& p, std::uint64_t first, int count, PathBatchResult& result)
 {
     mShadow.count = 0;
-    const auto total = static_cast<std::uint64_t>(mOptions.rays);
+    const auto add = [&](int i, const Vec3f& direction, const Color& value) {
+        mShadowValue[mShadow.count - 1] = value;
+        mShadowStratum[mShadow.count - 1] = i;
+        result.ex[i] = direction.x;
+        result.ey[i] = direction.y;
+        result.ez[i] = direction.z;
+    };
     for (int i = 0; i < count; ++i) {
-        const double t = jitteredStratum(
-            mOptions.seed ^ kEmitterStream, first + static_cast<std::uint64_t>(i), total);
-        const EmitterSample s
-            = mImpl.emitters.sampleStratum(p, t, [&](std::uint32_t triangle, float u, float v) {
-                  return mImpl.emissionAt(mImpl.triangles[triangle], u, v);
-              });
+        if (mInfinite && mInfinite[first + i].direction != Vec3f(0)) {
+            const InfiniteStratum& s = mInfinite[first + i];
+            mShadow.push(p, s.direction, kInfinity);
+            add(i, s.direction, s.value);
+            continue;
+        }
+        const EmitterSample s = drawStratum(mImpl, mOptions, p, first + i);
         if (!(s.pdf > 0)) continue;
-        // Balance heuristic over one uniform and one emitter direction a stratum.
-        mShadowValue[mShadow.count] = s.radiance * static_cast<float>(1 / (s.pdf + kUniformPdf));
-        mShadowStratum[mShadow.count] = i;
         pushShadow(mShadow, p, s);
+        add(i, s.direction, probeValue(s));
         if (!s.infinite) {
             result.emitterPlane[i] = InversePlane(s.normal, s.direction, (s.target - p).length());
         }
-        result.ex[i] = s.direction.x;
-        result.ey[i] = s.direction.y;
-        result.ez[i] = s.direction.z;
     }
     occlude(mImpl, mShadow, mOccluded);
     note(mShadow, true);

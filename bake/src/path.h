@@ -47,11 +47,23 @@ struct RecordedRay {
     bool shadow;
 };
 
+/// An emitter sample of the environment, the same at every probe.
+struct InfiniteStratum {
+    Vec3f direction{0, 0, 0}; ///< 0: this stratum drew something near, or nothing
+    Color value{0, 0, 0}; ///< radiance, weighted, over the density
+};
+
+/// Of all strata of a probe, in order; empty where nothing infinite is lit.
+std::vector<InfiniteStratum> infiniteStrata(const Tracer::Impl& impl, const ProbeOptions& options);
+
 class PathTracer {
 public:
-    PathTracer(const Tracer::Impl& impl, const ProbeOptions& options)
+    /// @a infinite: infiniteStrata(), which saves drawing them again; null does not.
+    PathTracer(const Tracer::Impl& impl, const ProbeOptions& options,
+        const std::vector<InfiniteStratum>* infinite = nullptr)
         : mImpl(impl)
         , mOptions(options)
+        , mInfinite(infinite && !infinite->empty() ? infinite->data() : nullptr)
     {
     }
 
@@ -87,6 +99,7 @@ private:
 
     const Tracer::Impl& mImpl;
     const ProbeOptions& mOptions;
+    const InfiniteStratum* mInfinite;
     std::vector<RecordedRay>* mRecorder = nullptr;
 
     Path mPaths[kBatch];

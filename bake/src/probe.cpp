@@ -80,8 +80,9 @@ struct CosineFunctions {
 
 /// Scratch of one thread. Big: lives on the heap.
 struct Scratch {
-    explicit Scratch(const Tracer::Impl& impl, const ProbeOptions& options)
-        : paths(impl, options)
+    Scratch(const Tracer::Impl& impl, const ProbeOptions& options,
+        const std::vector<InfiniteStratum>& infinite)
+        : paths(impl, options, &infinite)
     {
     }
     PathTracer paths;
@@ -168,6 +169,7 @@ struct Shot {
     const Tracer::Impl& impl;
     const ProbeOptions& options;
     const std::vector<Vec3f>& directions;
+    const std::vector<InfiniteStratum>& infinite;
     Vec3f p;
     std::uint64_t key;
 };
@@ -212,7 +214,8 @@ Sums traceChunks(const Shot& shot, const Basis& basis, Scratch& own, GradientScr
         } else {
             tbb::parallel_for(std::size_t{0}, count, [&](std::size_t c) {
                 auto& local = scratch.local();
-                if (!local) local = std::make_unique<Scratch>(shot.impl, shot.options);
+                if (!local)
+                    local = std::make_unique<Scratch>(shot.impl, shot.options, shot.infinite);
                 trace(c, *local);
             });
         }
@@ -304,8 +307,9 @@ struct ProbeEstimator::Workspace::Impl {
     std::unique_ptr<GradientScratch> gradient;
 };
 
-/// Made when the first gradient is asked for, by whichever thread asks.
+/// What all points share. Gradients' tables are made by whichever thread asks first.
 struct ProbeEstimator::Tables {
+    std::vector<InfiniteStratum> infinite;
     std::once_flag once;
     std::unique_ptr<const GradientTables> gradient;
 };
@@ -323,6 +327,7 @@ ProbeEstimator::ProbeEstimator(const Tracer& tracer, const ProbeOptions& options
     options.validate();
     mDirections = stratifiedDirections(options.seed, options.rays);
     mTables = std::make_shared<Tables>();
+    mTables->infinite = infiniteStrata(tracer.impl(), options);
 }
 
 ProbeEstimator::~ProbeEstimator() = default;
@@ -333,7 +338,7 @@ ProbeResult ProbeEstimator::estimate(const Vec3d& world, const Basis& basis, std
 {
     const Tracer::Impl& impl = mTracer.impl();
     Workspace::Impl& own = *workspace.mImpl;
-    if (!own.scratch) own.scratch = std::make_unique<Scratch>(impl, mOptions);
+    if (!own.scratch) own.scratch = std::make_unique<Scratch>(impl, mOptions, mTables->infinite);
     std::unique_ptr<GradientScratch> several;
     GradientScratch* gradient = nullptr;
     if (gradientBands > 0) {
@@ -347,7 +352,7 @@ ProbeResult ProbeEstimator::estimate(const Vec3d& world, const Basis& basis, std
         gradient->sums.reset(*gradient->tables, gradientBands);
     }
 
-    const Shot shot{impl, mOptions, mDirections, impl.toLocal(world), key};
+    const Shot shot{impl, mOptions, mDirections, mTables->infinite, impl.toLocal(world), key};
     Sums total = traceChunks(shot, basis, *own.scratch, gradient);
     for (double& s : total.sum) s /= static_cast<double>(mDirections.size());
     if (mOptions.contribution != Contribution::Indirect) {
