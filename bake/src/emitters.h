@@ -54,6 +54,13 @@ public:
     EmitterSample sample(
         const Vec3f& from, double t, double u, double v, const Emission& emission) const;
 
+    /// Asks memory for what sample() at @a t will read; see Environment::prefetchDraw().
+    void prefetch(double t, int step) const
+    {
+        const double rest = t - (1 - mEnvironmentProbability);
+        if (rest > 0) mEnvironment->prefetchDraw(rest / mEnvironmentProbability, step);
+    }
+
     /// Density of sample() for a triangle met at @a distance under |cos| = @a cosine.
     double pdfTriangle(int emitter, double distance, double cosine) const;
     double pdfEnvironment(const Vec3f& direction) const;

@@ -89,6 +89,19 @@ struct Light {
     {
         return pixels[static_cast<std::size_t>(texel.y) * projection->width + texel.x];
     }
+    std::size_t cellOf(double t) const
+    {
+        const auto n = alias.size();
+        const auto cell = static_cast<std::int64_t>(t * static_cast<double>(n));
+        return std::min(static_cast<std::size_t>(cell), n - 1);
+    }
+    /// Number of the texel that t ∈ [0,1) draws.
+    std::uint32_t draw(double t) const
+    {
+        const std::size_t cell = cellOf(t);
+        const double rest = t * static_cast<double>(alias.size()) - static_cast<double>(cell);
+        return rest < alias[cell].keep ? static_cast<std::uint32_t>(cell) : alias[cell].other;
+    }
     double weight(Texel texel) const
     {
         return luminanceOf(at(texel)) * projection->solidAngle(texel);
@@ -285,15 +298,22 @@ Environment::Sample Environment::draw(double t, double u, double v) const
 {
     const Light& light = *mImpl->light;
     if (!(light.total > 0)) return {Vec3d(0, 1, 0), Color(0), 0.0};
-    const double place = t * static_cast<double>(light.alias.size());
-    const auto drawn = std::min(static_cast<std::size_t>(place), light.alias.size() - 1);
-    const AliasCell& cell = light.alias[drawn];
-    const bool own = place - static_cast<double>(drawn) < cell.keep;
-    const auto chosen = own ? static_cast<std::uint32_t>(drawn) : cell.other;
+    const std::uint32_t chosen = light.draw(t);
     const auto w = static_cast<std::uint32_t>(light.projection->width);
     const auto inset = [](double x) { return std::clamp(x, kInset, 1.0 - kInset); };
     return mImpl->sampleIn(
         {static_cast<int>(chosen % w), static_cast<int>(chosen / w)}, inset(u), inset(v));
+}
+
+void Environment::prefetchDraw(double t, int step) const
+{
+    const Light& light = *mImpl->light;
+    if (!(light.total > 0)) return;
+    if (step == 0) {
+        __builtin_prefetch(&light.alias[light.cellOf(t)]);
+    } else {
+        __builtin_prefetch(&light.pixels[light.draw(t)]);
+    }
 }
 
 Environment::Arrival Environment::arrival(const Vec3d& d) const

@@ -225,16 +225,23 @@ void PathTracer::reflectFromEmitters(PathBatchResult& result)
 {
     if (mImpl.emitters.empty()) return;
     mShadow.count = 0;
+    double t[kBatch], u[kBatch], v[kBatch];
     for (int j = 0; j < mPathCount; ++j) {
-        Path& path = mPaths[j];
+        CounterRng& rng = mPaths[j].rng;
+        t[j] = rng.nextDouble();
+        u[j] = rng.nextDouble();
+        v[j] = rng.nextDouble();
+        mImpl.emitters.prefetch(t[j], 0);
+    }
+    for (int j = 0; j < mPathCount; ++j) mImpl.emitters.prefetch(t[j], 1);
+    for (int j = 0; j < mPathCount; ++j) {
+        const Path& path = mPaths[j];
         const SurfacePoint& s = path.surface;
         const Vec3f from = s.leaving();
-        const double t = path.rng.nextDouble(), u = path.rng.nextDouble(),
-                     v = path.rng.nextDouble();
-        const EmitterSample e
-            = mImpl.emitters.sample(from, t, u, v, [&](std::uint32_t triangle, float tu, float tv) {
-                  return mImpl.emissionAt(mImpl.triangles[triangle], tu, tv);
-              });
+        const EmitterSample e = mImpl.emitters.sample(
+            from, t[j], u[j], v[j], [&](std::uint32_t triangle, float tu, float tv) {
+                return mImpl.emissionAt(mImpl.triangles[triangle], tu, tv);
+            });
         const float cosine = s.normal.dot(e.direction);
         if (!(e.pdf > 0) || !(cosine > 0)) continue;
         // f cos / (p_emitter + p_cosine): balance heuristic against the cosine sample of scatter().

@@ -64,6 +64,9 @@ public:
     /// The same distribution from independent numbers: t draws the texel, in a step instead of two
     /// searches, and (u, v) the point in it.
     Sample draw(double t, double u, double v) const;
+    /// Asks memory for what draw() at @a t will read: once for all draws to come with @a step 0,
+    /// then once with step 1.
+    void prefetchDraw(double t, int step) const;
     /// Density of sample() and of draw() at @a d, per steradian.
     double pdf(const Vec3d& d) const;
     struct Arrival {
