@@ -57,8 +57,7 @@ EmitterSample EmitterTable::samplePoint(std::size_t chosen, const Vec3f& from, d
     const Vec3d d = Vec3d(point) - Vec3d(from);
     const double distance2 = d.length2();
     if (!(distance2 > 0)) return s;
-    const double distance = std::sqrt(distance2);
-    s.direction = Vec3f(d / distance);
+    s.direction = Vec3f(d * (1 / std::sqrt(distance2)));
     s.target = point;
     s.normal = e.normal;
     const double cosine = std::abs(static_cast<double>(e.normal.dot(s.direction)));

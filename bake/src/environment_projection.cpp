@@ -157,6 +157,7 @@ public:
         for (int y = 0; y < h; ++y)
             mSolidAngle.push_back(
                 4 * kPi / w * std::sin(kPi * (y + 0.5) / h) * std::sin(0.5 * kPi / h));
+        for (const double angle : mSolidAngle) mDensity.push_back(1 / angle);
     }
 
     Texel texelAt(const Vec3d& d) const override
@@ -177,7 +178,7 @@ public:
 
     double pointDensity(Texel texel, const Vec3d&) const override
     {
-        return 1.0 / mSolidAngle[texel.y];
+        return mDensity[static_cast<std::size_t>(texel.y)];
     }
 
     double solidAngle(Texel texel) const override { return mSolidAngle[texel.y]; }
@@ -200,7 +201,7 @@ public:
 private:
     Sectors mColumns, mRows; // of longitudes and of angles from +Y
     Rule mRuleU, mRuleV;
-    std::vector<double> mSolidAngle; // of a texel of each row
+    std::vector<double> mSolidAngle, mDensity; // of a texel of each row, and its inverse
 };
 
 class AngularMap final : public ImageProjection {

@@ -62,12 +62,8 @@ void pushShadow(RayBatch& rays, const Vec3f& from, const EmitterSample& s)
     }
 }
 
-/// Emitter sample of a stratum at a probe at @a p.
-EmitterSample drawStratum(
-    const Tracer::Impl& impl, const ProbeOptions& options, const Vec3f& p, std::uint64_t stratum)
+EmitterSample sampleStratum(const Tracer::Impl& impl, const Vec3f& p, double t)
 {
-    const double t = jitteredStratum(
-        options.seed ^ kEmitterStream, stratum, static_cast<std::uint64_t>(options.rays));
     return impl.emitters.sampleStratum(p, t, [&](std::uint32_t triangle, float u, float v) {
         return impl.emissionAt(impl.triangles[triangle], u, v);
     });
@@ -78,19 +74,43 @@ Color probeValue(const EmitterSample& s)
 {
     return s.radiance * static_cast<float>(1 / (s.pdf + kUniformPdf));
 }
+float uniformWeight(double pdf) { return static_cast<float>(kUniformPdf / (kUniformPdf + pdf)); }
+
+/// What a ray that leaves the scene brings, and the density of drawing that way.
+Environment::Arrival background(const Tracer::Impl& impl, const Vec3f& d)
+{
+    if (!impl.scene->environment) return {Color(0.0f), 0};
+    Environment::Arrival light = impl.scene->environment->arrival(Vec3d(d));
+    light.pdf *= impl.emitters.environmentProbability();
+    return light;
+}
+
+ProbeStratum makeStratum(const Tracer::Impl& impl, const ProbeOptions& options,
+    const Vec3f& direction, std::uint64_t number)
+{
+    ProbeStratum stratum;
+    if (options.contribution == Contribution::Indirect) return stratum;
+    stratum.t = jitteredStratum(
+        options.seed ^ kEmitterStream, number, static_cast<std::uint64_t>(options.rays));
+    const EmitterSample s
+        = impl.emitters.empty() ? EmitterSample() : sampleStratum(impl, Vec3f(0), stratum.t);
+    if (s.infinite && s.pdf > 0) {
+        stratum.infinite = s.direction;
+        stratum.value = probeValue(s);
+    }
+    const Environment::Arrival light = background(impl, direction);
+    stratum.background = light.radiance * uniformWeight(light.pdf);
+    return stratum;
+}
 
 } // namespace
 
-std::vector<InfiniteStratum> infiniteStrata(const Tracer::Impl& impl, const ProbeOptions& options)
+std::vector<ProbeStratum> probeStrata(
+    const Tracer::Impl& impl, const ProbeOptions& options, const std::vector<Vec3f>& directions)
 {
-    std::vector<InfiniteStratum> strata;
-    if (!(impl.emitters.environmentProbability() > 0)) return strata;
-    if (options.contribution == Contribution::Indirect) return strata;
-    strata.resize(static_cast<std::size_t>(options.rays));
-    tbb::parallel_for(std::size_t{0}, strata.size(), [&](std::size_t i) {
-        const EmitterSample s = drawStratum(impl, options, Vec3f(0), i);
-        if (s.infinite && s.pdf > 0) strata[i] = {s.direction, probeValue(s)};
-    });
+    std::vector<ProbeStratum> strata(directions.size());
+    tbb::parallel_for(std::size_t{0}, strata.size(),
+        [&](std::size_t i) { strata[i] = makeStratum(impl, options, directions[i], i); });
     return strata;
 }
 
@@ -114,6 +134,11 @@ void PathTracer::note(const RayBatch& rays, bool shadow)
 void PathTracer::trace(const Vec3f& p, const Vec3f* directions, std::uint64_t first, int count,
     std::uint64_t key, PathBatchResult& result)
 {
+    const ProbeStratum* strata = mStrata ? mStrata->data() + first : mOwnStrata;
+    for (int i = 0; !mStrata && i < count; ++i) {
+        mOwnStrata[i]
+            = makeStratum(mImpl, mOptions, directions[i], first + static_cast<std::uint64_t>(i));
+    }
     result.traced = 0;
     result.rays.count = 0;
     for (int i = 0; i < count; ++i) {
@@ -122,15 +147,15 @@ void PathTracer::trace(const Vec3f& p, const Vec3f* directions, std::uint64_t fi
         result.emitter[i] = Color(0.0f);
         result.ex[i] = result.ey[i] = 0;
         result.ez[i] = 1;
-        result.emitterPlane[i] = InversePlane();
+        if (result.wantPlanes) result.emitterPlane[i] = InversePlane();
     }
     if (mOptions.contribution != Contribution::Indirect && !mImpl.emitters.empty()) {
-        sampleEmittersAtProbe(p, first, count, result);
+        sampleEmittersAtProbe(p, strata, count, result);
     }
     intersectCoherent(mImpl, result.rays, result.hits);
     note(result.rays, false);
     result.traced += static_cast<std::uint64_t>(count);
-    startPaths(p, first, count, key, result);
+    startPaths(p, strata, first, count, key, result);
     if (mOptions.contribution == Contribution::Direct) return;
     for (int bounce = 1; mPathCount > 0; ++bounce) {
         if (mOptions.maxBounces >= 0 && bounce > mOptions.maxBounces) break;
@@ -141,7 +166,7 @@ void PathTracer::trace(const Vec3f& p, const Vec3f* directions, std::uint64_t fi
 }
 
 void PathTracer::sampleEmittersAtProbe(
-    const Vec3f& p, std::uint64_t first, int count, PathBatchResult& result)
+    const Vec3f& p, const ProbeStratum* strata, int count, PathBatchResult& result)
 {
     mShadow.count = 0;
     const auto add = [&](int i, const Vec3f& direction, const Color& value) {
@@ -152,17 +177,16 @@ void PathTracer::sampleEmittersAtProbe(
         result.ez[i] = direction.z;
     };
     for (int i = 0; i < count; ++i) {
-        if (mInfinite && mInfinite[first + i].direction != Vec3f(0)) {
-            const InfiniteStratum& s = mInfinite[first + i];
-            mShadow.push(p, s.direction, kInfinity);
-            add(i, s.direction, s.value);
+        if (strata[i].infinite != Vec3f(0)) {
+            mShadow.push(p, strata[i].infinite, kInfinity);
+            add(i, strata[i].infinite, strata[i].value);
             continue;
         }
-        const EmitterSample s = drawStratum(mImpl, mOptions, p, first + i);
+        const EmitterSample s = sampleStratum(mImpl, p, strata[i].t);
         if (!(s.pdf > 0)) continue;
         pushShadow(mShadow, p, s);
         add(i, s.direction, probeValue(s));
-        if (!s.infinite) {
+        if (result.wantPlanes && !s.infinite) {
             result.emitterPlane[i] = InversePlane(s.normal, s.direction, (s.target - p).length());
         }
     }
@@ -174,22 +198,17 @@ void PathTracer::sampleEmittersAtProbe(
     }
 }
 
-void PathTracer::startPaths(
-    const Vec3f& p, std::uint64_t first, int count, std::uint64_t key, PathBatchResult& result)
+void PathTracer::startPaths(const Vec3f& p, const ProbeStratum* strata, std::uint64_t first,
+    int count, std::uint64_t key, PathBatchResult& result)
 {
     const bool direct = mOptions.contribution != Contribution::Indirect;
-    const auto weight
-        = [](double pdf) { return static_cast<float>(kUniformPdf / (kUniformPdf + pdf)); };
     mPathCount = 0;
     for (int i = 0; i < count; ++i) {
         const Vec3f d = result.rays.direction(i);
         result.backFace[i] = false;
-        result.plane[i] = InversePlane();
+        if (result.wantPlanes) result.plane[i] = InversePlane();
         if (result.hits.triangle[i] == kMiss) {
-            if (!direct || !mImpl.scene->environment) continue;
-            const Environment::Arrival light = mImpl.scene->environment->arrival(Vec3d(d));
-            result.uniform[i]
-                = light.radiance * weight(light.pdf * mImpl.emitters.environmentProbability());
+            result.uniform[i] = strata[i].background;
             continue;
         }
         Path& path = mPaths[mPathCount];
@@ -197,11 +216,11 @@ void PathTracer::startPaths(
             p, d, result.hits.triangle[i], result.hits.t[i], result.hits.u[i], result.hits.v[i]);
         const SurfacePoint& s = path.surface;
         result.backFace[i] = s.backFace;
-        result.plane[i] = InversePlane(s.normal, d, result.hits.t[i]);
+        if (result.wantPlanes) result.plane[i] = InversePlane(s.normal, d, result.hits.t[i]);
         if (direct && s.emitter >= 0) {
             const double pdf = mImpl.emitters.pdfTriangle(
                 s.emitter, result.hits.t[i], std::abs(s.normal.dot(d)));
-            result.uniform[i] = s.emission * weight(pdf);
+            result.uniform[i] = s.emission * uniformWeight(pdf);
         }
         if (maxComponent(s.albedo) <= 0) continue;
         path.throughput = Color(1.0f);
@@ -244,10 +263,10 @@ void PathTracer::reflectFromEmitters(PathBatchResult& result)
             });
         const float cosine = s.normal.dot(e.direction);
         if (!(e.pdf > 0) || !(cosine > 0)) continue;
-        // f cos / (p_emitter + p_cosine): balance heuristic against the cosine sample of scatter().
-        const double density = e.pdf + cosine / kPi;
-        mShadowValue[mShadow.count]
-            = path.throughput * s.albedo * e.radiance * static_cast<float>(cosine / kPi / density);
+        // f cos / (p_emitter + p_cosine): balance heuristic against the cosine sample of scatter(),
+        // whose density is cos / π.
+        mShadowValue[mShadow.count] = path.throughput * s.albedo * e.radiance
+            * static_cast<float>(cosine / (e.pdf * kPi + cosine));
         mShadowStratum[mShadow.count] = path.stratum;
         pushShadow(mShadow, from, e);
     }
@@ -318,14 +337,15 @@ void PathTracer::scatter(int bounce, PathBatchResult& result)
     int alive = 0;
     mNext.count = 0;
     for (int j = 0; j < mPathCount; ++j) {
-        Path path = mPaths[j];
+        Path& path = mPaths[j];
         path.throughput *= path.surface.albedo;
         const float q = survival(path.throughput, bounce);
         if (!(path.rng.next() < q)) continue;
         path.throughput /= q;
         const float u1 = path.rng.next(), u2 = path.rng.next();
         mNext.push(path.surface.leaving(), cosineDirection(path.surface.normal, u1, u2), kInfinity);
-        mPaths[alive++] = path;
+        if (alive != j) mPaths[alive] = path;
+        ++alive;
     }
     intersectScattered(mImpl, mNext, mNextHits);
     note(mNext, false);
@@ -333,17 +353,15 @@ void PathTracer::scatter(int bounce, PathBatchResult& result)
 
     mPathCount = 0;
     for (int j = 0; j < alive; ++j) {
-        Path path = mPaths[j];
+        Path& path = mPaths[j];
         const Vec3f d = mNext.direction(j);
         const double cosinePdf = std::max(0.0f, path.surface.normal.dot(d)) / kPi;
         const auto weight
             = [&](double pdf) { return static_cast<float>(cosinePdf / (cosinePdf + pdf)); };
         if (!(cosinePdf > 0)) continue;
         if (mNextHits.triangle[j] == kMiss) {
-            if (!mImpl.scene->environment) continue;
-            const Environment::Arrival light = mImpl.scene->environment->arrival(Vec3d(d));
-            result.uniform[path.stratum] += path.throughput * light.radiance
-                * weight(light.pdf * mImpl.emitters.environmentProbability());
+            const Environment::Arrival light = background(mImpl, d);
+            result.uniform[path.stratum] += path.throughput * light.radiance * weight(light.pdf);
             continue;
         }
         const SurfacePoint s = mImpl.surfaceSeen(path.surface.leaving(), d, mNextHits.triangle[j],
@@ -354,8 +372,11 @@ void PathTracer::scatter(int bounce, PathBatchResult& result)
             result.uniform[path.stratum] += path.throughput * s.emission * weight(pdf);
         }
         if (maxComponent(s.albedo) <= 0) continue;
-        path.surface = s;
-        mPaths[mPathCount++] = path;
+        Path& next = mPaths[mPathCount++];
+        next.surface = s;
+        next.throughput = path.throughput;
+        next.stratum = path.stratum;
+        next.rng = path.rng;
     }
 }
 

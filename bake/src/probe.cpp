@@ -81,8 +81,8 @@ struct CosineFunctions {
 /// Scratch of one thread. Big: lives on the heap.
 struct Scratch {
     Scratch(const Tracer::Impl& impl, const ProbeOptions& options,
-        const std::vector<InfiniteStratum>& infinite)
-        : paths(impl, options, &infinite)
+        const std::vector<ProbeStratum>& strata)
+        : paths(impl, options, &strata)
     {
     }
     PathTracer paths;
@@ -169,7 +169,7 @@ struct Shot {
     const Tracer::Impl& impl;
     const ProbeOptions& options;
     const std::vector<Vec3f>& directions;
-    const std::vector<InfiniteStratum>& infinite;
+    const std::vector<ProbeStratum>& strata;
     Vec3f p;
     std::uint64_t key;
 };
@@ -181,6 +181,7 @@ void traceChunk(const Shot& shot, const Basis& basis, std::size_t first,
     const std::size_t last = std::min(shot.directions.size(), first + kChunk);
     w.sums.reset(static_cast<std::size_t>(basis.count()));
     w.previous.assign(w.sums.sum.size(), 0.0f);
+    w.batch.wantPlanes = gradient != nullptr;
     for (std::size_t i = first; i < last; i += kBatch) {
         const int n = static_cast<int>(std::min<std::size_t>(kBatch, last - i));
         w.paths.trace(shot.p, shot.directions.data() + i, i, n, shot.key, w.batch);
@@ -214,8 +215,7 @@ Sums traceChunks(const Shot& shot, const Basis& basis, Scratch& own, GradientScr
         } else {
             tbb::parallel_for(std::size_t{0}, count, [&](std::size_t c) {
                 auto& local = scratch.local();
-                if (!local)
-                    local = std::make_unique<Scratch>(shot.impl, shot.options, shot.infinite);
+                if (!local) local = std::make_unique<Scratch>(shot.impl, shot.options, shot.strata);
                 trace(c, *local);
             });
         }
@@ -309,7 +309,7 @@ struct ProbeEstimator::Workspace::Impl {
 
 /// What all points share. Gradients' tables are made by whichever thread asks first.
 struct ProbeEstimator::Tables {
-    std::vector<InfiniteStratum> infinite;
+    std::vector<ProbeStratum> strata;
     std::once_flag once;
     std::unique_ptr<const GradientTables> gradient;
 };
@@ -327,7 +327,7 @@ ProbeEstimator::ProbeEstimator(const Tracer& tracer, const ProbeOptions& options
     options.validate();
     mDirections = stratifiedDirections(options.seed, options.rays);
     mTables = std::make_shared<Tables>();
-    mTables->infinite = infiniteStrata(tracer.impl(), options);
+    mTables->strata = probeStrata(tracer.impl(), options, mDirections);
 }
 
 ProbeEstimator::~ProbeEstimator() = default;
@@ -338,7 +338,7 @@ ProbeResult ProbeEstimator::estimate(const Vec3d& world, const Basis& basis, std
 {
     const Tracer::Impl& impl = mTracer.impl();
     Workspace::Impl& own = *workspace.mImpl;
-    if (!own.scratch) own.scratch = std::make_unique<Scratch>(impl, mOptions, mTables->infinite);
+    if (!own.scratch) own.scratch = std::make_unique<Scratch>(impl, mOptions, mTables->strata);
     std::unique_ptr<GradientScratch> several;
     GradientScratch* gradient = nullptr;
     if (gradientBands > 0) {
@@ -352,7 +352,7 @@ ProbeResult ProbeEstimator::estimate(const Vec3d& world, const Basis& basis, std
         gradient->sums.reset(*gradient->tables, gradientBands);
     }
 
-    const Shot shot{impl, mOptions, mDirections, mTables->infinite, impl.toLocal(world), key};
+    const Shot shot{impl, mOptions, mDirections, mTables->strata, impl.toLocal(world), key};
     Sums total = traceChunks(shot, basis, *own.scratch, gradient);
     for (double& s : total.sum) s /= static_cast<double>(mDirections.size());
     if (mOptions.contribution != Contribution::Indirect) {
