@@ -8,6 +8,7 @@
 #include <lumivdb/bake/tracer.h>
 
 #include "emitters.h"
+#include "texture.h"
 
 #include <embree3/rtcore.h>
 
@@ -48,6 +49,7 @@ struct Tracer::Impl {
     std::vector<Vec3f> vertices;
     std::uint32_t opaqueCount = 0;
     EmitterTable emitters;
+    std::vector<Texels> texels; ///< of scene->textures
 
     Impl() = default;
     Impl(const Impl&) = delete;
