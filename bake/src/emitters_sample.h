@@ -35,9 +35,9 @@ template <class Emission>
 EmitterSample EmitterTable::sample(
     const Vec3f& from, double t, double u, double v, const Emission& emission) const
 {
-    const std::size_t chosen = choose(t);
-    if (chosen == mTriangles.size()) return drawEnvironment(t, u, v);
-    return samplePoint(chosen, from, u, v, emission);
+    const std::int64_t texel = environmentTexel(t);
+    if (texel >= 0) return sampleEnvironmentTexel(texel, u, v);
+    return samplePoint(choose(t), from, u, v, emission);
 }
 
 template <class Emission>

@@ -83,6 +83,7 @@ struct Light {
     std::vector<double> rowSums; ///< running sums of the rows' totals
     std::vector<AliasCell> alias; ///< over all texels, for numbers without strata
     double total = 0.0; ///< ∫ luminance dω
+    double perTotal = 0.0; ///< its inverse
     std::uint64_t hash = 0;
 
     const Color& at(Texel texel) const
@@ -109,7 +110,7 @@ struct Light {
     double pdf(Texel texel, const Vec3d& d) const
     {
         const double w = weight(texel);
-        return w > 0 ? w / total * projection->pointDensity(texel, d) : 0.0;
+        return w > 0 ? w * perTotal * projection->pointDensity(texel, d) : 0.0;
     }
 };
 
@@ -129,6 +130,7 @@ void buildDistribution(Light& light)
     for (int y = 1; y < h; ++y) light.rowSums[y] += light.rowSums[y - 1];
     light.total = light.rowSums[h - 1];
     if (!(light.total > 0)) return;
+    light.perTotal = 1 / light.total;
     std::vector<double> mass(light.pixels.size());
     const double scale = static_cast<double>(mass.size()) / light.total;
     tbb::parallel_for(0, h, [&](int y) {
@@ -294,26 +296,26 @@ Environment::Sample Environment::sample(double u, double v) const
     return mImpl->sampleIn(texel, s, t);
 }
 
-Environment::Sample Environment::draw(double t, double u, double v) const
+void Environment::prefetchDraw(double t) const
 {
     const Light& light = *mImpl->light;
-    if (!(light.total > 0)) return {Vec3d(0, 1, 0), Color(0), 0.0};
-    const std::uint32_t chosen = light.draw(t);
-    const auto w = static_cast<std::uint32_t>(light.projection->width);
-    const auto inset = [](double x) { return std::clamp(x, kInset, 1.0 - kInset); };
-    return mImpl->sampleIn(
-        {static_cast<int>(chosen % w), static_cast<int>(chosen / w)}, inset(u), inset(v));
+    __builtin_prefetch(&light.alias[light.cellOf(t)]);
 }
 
-void Environment::prefetchDraw(double t, int step) const
+std::uint32_t Environment::drawTexel(double t) const
 {
     const Light& light = *mImpl->light;
-    if (!(light.total > 0)) return;
-    if (step == 0) {
-        __builtin_prefetch(&light.alias[light.cellOf(t)]);
-    } else {
-        __builtin_prefetch(&light.pixels[light.draw(t)]);
-    }
+    const std::uint32_t texel = light.draw(t);
+    __builtin_prefetch(&light.pixels[texel]);
+    return texel;
+}
+
+Environment::Sample Environment::sampleTexel(std::uint32_t texel, double u, double v) const
+{
+    const auto w = static_cast<std::uint32_t>(mImpl->light->projection->width);
+    const auto inset = [](double x) { return std::clamp(x, kInset, 1.0 - kInset); };
+    return mImpl->sampleIn(
+        {static_cast<int>(texel % w), static_cast<int>(texel / w)}, inset(u), inset(v));
 }
 
 Environment::Arrival Environment::arrival(const Vec3d& d) const

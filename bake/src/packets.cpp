@@ -50,6 +50,16 @@ private:
     std::uint16_t mOrder[kBatch];
 };
 
+/// What is the same in all packets and stays as it is.
+template <int N, class Ray> void setConstants(Ray& ray)
+{
+    std::fill_n(ray.tnear, N, 0.0f);
+    std::fill_n(ray.time, N, 0.0f);
+    std::fill_n(ray.mask, N, ~0u);
+    std::fill_n(ray.id, N, 0u);
+    std::fill_n(ray.flags, N, 0u);
+}
+
 /// Copies rays [first, first + N) of the order into a packet. Lanes past the end are off but repeat
 /// the first ray: Debian's Embree asserts that even those are finite.
 template <int N, class Order, class Ray>
@@ -66,11 +76,6 @@ void load(const RayBatch& rays, const Order& order, int first, Ray& ray, int* va
         ray.dir_y[i] = rays.dy[j];
         ray.dir_z[i] = rays.dz[j];
         ray.tfar[i] = rays.tfar[j];
-        ray.tnear[i] = 0;
-        ray.time[i] = 0;
-        ray.mask[i] = ~0u;
-        ray.id[i] = 0;
-        ray.flags[i] = 0;
     }
 }
 
@@ -82,6 +87,7 @@ void intersectIn(const Tracer::Impl& impl, const RayBatch& rays, const Order& or
     rtcInitIntersectContext(&context);
     context.flags = flags;
     typename Packet<N>::RayHit packet;
+    setConstants<N>(packet.ray);
     alignas(64) int valid[N];
     for (int first = 0; first < rays.count; first += N) {
         load<N>(rays, order, first, packet.ray, valid);
@@ -108,6 +114,7 @@ void occludeIn(
     RTCIntersectContext context;
     rtcInitIntersectContext(&context);
     typename Packet<N>::Ray packet;
+    setConstants<N>(packet);
     alignas(64) int valid[N];
     for (int first = 0; first < rays.count; first += N) {
         load<N>(rays, order, first, packet, valid);

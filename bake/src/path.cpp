@@ -32,7 +32,8 @@ constexpr std::size_t kWeighedLights = 64;
 
 float maxComponent(const Color& c) { return std::max({c.x, c.y, c.z}); }
 
-/// Cosine-distributed direction about unit @a n (Malley; frame of Duff et al., JCGT 6(1), 2017).
+/// Cosine-distributed direction about unit @a n, unit to rounding (Malley; frame of Duff et al.,
+/// JCGT 6(1), 2017).
 Vec3f cosineDirection(const Vec3f& n, float u1, float u2)
 {
     const float sign = std::copysign(1.0f, n.z);
@@ -40,9 +41,8 @@ Vec3f cosineDirection(const Vec3f& n, float u1, float u2)
     const Vec3f t(1 + sign * n.x * n.x * a, sign * b, -sign * n.x);
     const Vec3f s(b, sign + n.y * n.y * a, -n.y);
     const float r = std::sqrt(u1), phi = 2 * kPi * u2;
-    return (
-        t * (r * std::cos(phi)) + s * (r * std::sin(phi)) + n * std::sqrt(std::max(1 - u1, 1e-12f)))
-        .normalized();
+    return t * (r * std::cos(phi)) + s * (r * std::sin(phi))
+        + n * std::sqrt(std::max(1 - u1, 1e-12f));
 }
 
 /// Survival probability of a path: paths that carry much go on for certain, the others in
@@ -250,17 +250,20 @@ void PathTracer::reflectFromEmitters(PathBatchResult& result)
         t[j] = rng.nextDouble();
         u[j] = rng.nextDouble();
         v[j] = rng.nextDouble();
-        mImpl.emitters.prefetch(t[j], 0);
+        mImpl.emitters.prefetch(t[j]);
     }
-    for (int j = 0; j < mPathCount; ++j) mImpl.emitters.prefetch(t[j], 1);
+    std::int64_t texel[kBatch]; // of the environment
+    for (int j = 0; j < mPathCount; ++j) texel[j] = mImpl.emitters.environmentTexel(t[j]);
     for (int j = 0; j < mPathCount; ++j) {
         const Path& path = mPaths[j];
         const SurfacePoint& s = path.surface;
         const Vec3f from = s.leaving();
-        const EmitterSample e = mImpl.emitters.sample(
-            from, t[j], u[j], v[j], [&](std::uint32_t triangle, float tu, float tv) {
-                return mImpl.emissionAt(mImpl.triangles[triangle], tu, tv);
-            });
+        const EmitterSample e = texel[j] >= 0
+            ? mImpl.emitters.sampleEnvironmentTexel(texel[j], u[j], v[j])
+            : mImpl.emitters.sample(
+                from, t[j], u[j], v[j], [&](std::uint32_t triangle, float tu, float tv) {
+                    return mImpl.emissionAt(mImpl.triangles[triangle], tu, tv);
+                });
         const float cosine = s.normal.dot(e.direction);
         if (!(e.pdf > 0) || !(cosine > 0)) continue;
         // f cos / (p_emitter + p_cosine): balance heuristic against the cosine sample of scatter(),

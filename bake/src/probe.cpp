@@ -156,8 +156,7 @@ template <class Basis> void accumulate(const Basis& basis, int n, bool firstOfCh
     w.sums.strata += static_cast<std::uint64_t>(n);
     w.sums.differences += static_cast<std::uint64_t>(firstOfChunk ? n - 1 : n);
     w.sums.traced += b.traced;
-    for (int i = 0; i < n; ++i) {
-        if (b.hits.triangle[i] == kMiss) continue;
+    for (int i = 0; i < n; ++i) { // what met nothing is infinitely far away
         w.sums.backFaces += b.backFace[i] ? 1 : 0;
         w.sums.inverseDistance += 1.0 / std::max(b.hits.t[i], 1e-30f);
         w.sums.minDistance = std::min(w.sums.minDistance, b.hits.t[i]);

@@ -61,12 +61,13 @@ public:
     /// Draws a direction from u, v ∈ [0,1). Continuous in (u, v) almost everywhere, so that
     /// stratified (u, v) give stratified directions.
     Sample sample(double u, double v) const;
-    /// The same distribution from independent numbers: t draws the texel, in a step instead of two
-    /// searches, and (u, v) the point in it.
-    Sample draw(double t, double u, double v) const;
-    /// Asks memory for what draw() at @a t will read: once for all draws to come with @a step 0,
-    /// then once with step 1.
-    void prefetchDraw(double t, int step) const;
+    /// The same distribution from independent numbers, in three steps, so that many draws can wait
+    /// for memory together: for all prefetchDraw(t), for all drawTexel(t), for all sampleTexel() of
+    /// what that gave. t draws the texel, (u, v) the point in it. @pre power() > 0
+    void prefetchDraw(double t) const;
+    std::uint32_t drawTexel(double t) const;
+    Sample sampleTexel(std::uint32_t texel, double u, double v) const;
+    Sample draw(double t, double u, double v) const { return sampleTexel(drawTexel(t), u, v); }
     /// Density of sample() and of draw() at @a d, per steradian.
     double pdf(const Vec3d& d) const;
     struct Arrival {
