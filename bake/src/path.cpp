@@ -69,6 +69,14 @@ EmitterSample sampleStratum(const Tracer::Impl& impl, const Vec3f& p, double t)
     });
 }
 
+void prefetchSurfaces(const Tracer::Impl& impl, const HitBatch& hits, int count)
+{
+    for (int i = 0; i < count && !impl.texels.empty(); ++i) {
+        if (hits.triangle[i] == kMiss) continue;
+        impl.prefetchAlbedo(hits.triangle[i], hits.u[i], hits.v[i]);
+    }
+}
+
 /// Balance heuristic over one uniform and one emitter direction a stratum.
 Color probeValue(const EmitterSample& s)
 {
@@ -202,6 +210,7 @@ void PathTracer::startPaths(const Vec3f& p, const ProbeStratum* strata, std::uin
     int count, std::uint64_t key, PathBatchResult& result)
 {
     const bool direct = mOptions.contribution != Contribution::Indirect;
+    prefetchSurfaces(mImpl, result.hits, count);
     mPathCount = 0;
     for (int i = 0; i < count; ++i) {
         const Vec3f d = result.rays.direction(i);
@@ -354,6 +363,7 @@ void PathTracer::scatter(int bounce, PathBatchResult& result)
     note(mNext, false);
     result.traced += static_cast<std::uint64_t>(mNext.count);
 
+    prefetchSurfaces(mImpl, mNextHits, alive);
     mPathCount = 0;
     for (int j = 0; j < alive; ++j) {
         Path& path = mPaths[j];

@@ -358,6 +358,14 @@ Texels::Texels(const Texture& texture)
     if (!exact) mCodes = {};
 }
 
+void Texels::prefetch(float u, float v) const
+{
+    if (mCodes.empty()) return;
+    const int x = nearestTexel(u, mTexture->width, mTexture->wrapU);
+    const int y = nearestTexel(v, mTexture->height, mTexture->wrapV);
+    __builtin_prefetch(&mCodes[place(x, y)]);
+}
+
 std::array<float, 4> Texels::sample(float u, float v) const
 {
     if (mCodes.empty()) return mTexture->sample(u, v);

@@ -34,6 +34,8 @@ public:
     /// @a texture must outlive this.
     explicit Texels(const Texture& texture);
     std::array<float, 4> sample(float u, float v) const;
+    /// Asks memory for most of what sample() will read.
+    void prefetch(float u, float v) const;
     /// Whether the texture had eight bits a channel.
     bool packed() const { return !mCodes.empty(); }
 

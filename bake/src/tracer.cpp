@@ -33,16 +33,25 @@ T interpolate(const std::vector<T>& values, const std::array<std::uint32_t, 3>& 
     return values[t[0]] * (1 - u - v) + values[t[1]] * u + values[t[2]] * v;
 }
 
+/// Coordinates in the texture of @a slot; false where there is none.
+bool placeInSlot(const TextureSlot& slot, const Mesh& mesh, std::uint32_t triangle, float u,
+    float v, Vec2f& place)
+{
+    if (slot.texture < 0) return false;
+    const std::vector<Vec2f>& uv = mesh.uv[slot.uvSet == 1 ? 1 : 0];
+    if (uv.empty()) return false;
+    const Vec2f st = interpolate(uv, mesh.triangles[triangle], u, v);
+    const auto& m = slot.transform;
+    place = {m[0] * st.x + m[1] * st.y + m[2], m[3] * st.x + m[4] * st.y + m[5]};
+    return true;
+}
+
 std::array<float, 4> sampleSlot(const Tracer::Impl& impl, const TextureSlot& slot, const Mesh& mesh,
     std::uint32_t triangle, float u, float v)
 {
-    if (slot.texture < 0) return {1, 1, 1, 1};
-    const std::vector<Vec2f>& uv = mesh.uv[slot.uvSet == 1 ? 1 : 0];
-    if (uv.empty()) return {1, 1, 1, 1};
-    const Vec2f st = interpolate(uv, mesh.triangles[triangle], u, v);
-    const auto& m = slot.transform;
-    return impl.texels[static_cast<std::size_t>(slot.texture)].sample(
-        m[0] * st.x + m[1] * st.y + m[2], m[3] * st.x + m[4] * st.y + m[5]);
+    Vec2f place;
+    if (!placeInSlot(slot, mesh, triangle, u, v, place)) return {1, 1, 1, 1};
+    return impl.texels[static_cast<std::size_t>(slot.texture)].sample(place.x, place.y);
 }
 
 /// Rejects hits on masked texels whose alpha is below the cut-off.
@@ -243,6 +252,15 @@ Color Tracer::Impl::albedoAt(const Triangle& t, float u, float v, float* alpha) 
     if (alpha) *alpha = a;
     for (int i = 0; i < 3; ++i) albedo[i] = std::clamp(albedo[i], 0.0f, 1.0f);
     return albedo;
+}
+
+void Tracer::Impl::prefetchAlbedo(std::uint32_t triangle, float u, float v) const
+{
+    const Triangle& t = triangles[triangle];
+    const TextureSlot& slot = materialOf(t).baseColorTexture;
+    Vec2f place;
+    if (!placeInSlot(slot, scene->meshes[t.mesh], t.index, u, v, place)) return;
+    texels[static_cast<std::size_t>(slot.texture)].prefetch(place.x, place.y);
 }
 
 Color Tracer::Impl::emissionAt(const Triangle& t, float u, float v) const
