@@ -35,6 +35,8 @@ template <class Emission>
 EmitterSample EmitterTable::sample(
     const Vec3f& from, double t, double u, double v, const Emission& emission) const
 {
+    const std::int64_t texel = environmentTexel(t);
+    if (texel >= 0) return sampleEnvironmentTexel(texel, u, v);
     return samplePoint(choose(t), from, u, v, emission);
 }
 
@@ -55,8 +57,7 @@ EmitterSample EmitterTable::samplePoint(std::size_t chosen, const Vec3f& from, d
     const Vec3d d = Vec3d(point) - Vec3d(from);
     const double distance2 = d.length2();
     if (!(distance2 > 0)) return s;
-    const double distance = std::sqrt(distance2);
-    s.direction = Vec3f(d / distance);
+    s.direction = Vec3f(d * (1 / std::sqrt(distance2)));
     s.target = point;
     s.normal = e.normal;
     const double cosine = std::abs(static_cast<double>(e.normal.dot(s.direction)));

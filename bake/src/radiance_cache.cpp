@@ -254,7 +254,8 @@ private:
             mMade.clear();
             const auto first = static_cast<Id>(mPatches->size());
             for (std::size_t i = 0; i < fresh.size(); ++i) {
-                const bool large = mPatches->extent(fresh[i]) > kSmallest * static_cast<float>(mSize);
+                const bool large
+                    = mPatches->extent(fresh[i]) > kSmallest * static_cast<float>(mSize);
                 if (large && direct[i].changes(mSceneMean)) cut(fresh[i]);
             }
             divideNear();
@@ -304,8 +305,8 @@ private:
         std::vector<std::uint32_t> count;
         for (bool more = true; more && !mReport.full;) {
             // Patches only shrink: a ray that is no longer near never is again.
-            mNear.erase(std::remove_if(mNear.begin(), mNear.end(),
-                            [&](const Near& n) { return !isNear(n); }),
+            mNear.erase(std::remove_if(
+                            mNear.begin(), mNear.end(), [&](const Near& n) { return !isNear(n); }),
                 mNear.end());
             count.assign(mPatches->size(), 0);
             for (const Near& n : mNear) ++count[patchOf(n)];
@@ -353,7 +354,8 @@ private:
                 Link& link = mLinks[mFirstLink[i] + static_cast<std::size_t>(seen->from - at)];
                 link.patch = mRow[id];
                 for (int c = 0; c < 3; ++c) {
-                    link.albedo[c] = static_cast<std::uint16_t>(std::lround(p.albedo[c] * 65535.0f));
+                    link.albedo[c]
+                        = static_cast<std::uint16_t>(std::lround(p.albedo[c] * 65535.0f));
                 }
             }
         });
@@ -363,7 +365,8 @@ private:
     int raysOf(Id id) const
     {
         const double share = mPatches->area(id) / (mSize * mSize);
-        return std::clamp(static_cast<int>(std::ceil(share * mOptions.rays)), std::min(kLeast, mOptions.rays), mOptions.rays);
+        return std::clamp(static_cast<int>(std::ceil(share * mOptions.rays)),
+            std::min(kLeast, mOptions.rays), mOptions.rays);
     }
 
     /// T E of one row.
@@ -490,8 +493,7 @@ RadianceCache::RadianceCache(
 
 RadianceCache::~RadianceCache() = default;
 
-RadianceCache::Light RadianceCache::at(
-    std::uint32_t triangle, float u, float v, bool behind) const
+RadianceCache::Light RadianceCache::at(std::uint32_t triangle, float u, float v, bool behind) const
 {
     const SurfacePatches::Id id = mImpl->patches.find(triangle, u, v, behind);
     return id == SurfacePatches::kNone ? Light{Color(0.0f), false} : mImpl->light[id];

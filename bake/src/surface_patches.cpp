@@ -142,8 +142,8 @@ void SurfacePatches::group(double size)
 void SurfacePatches::sumAreas(std::uint32_t first, std::uint32_t count)
 {
     for (std::uint32_t i = first; i < first + count; ++i) {
-        mAreaBefore[i + 1]
-            = mAreaBefore[i] + static_cast<double>(cornersOf(mImpl, mMembers[i]).areaVector().length() / 2);
+        mAreaBefore[i + 1] = mAreaBefore[i]
+            + static_cast<double>(cornersOf(mImpl, mMembers[i]).areaVector().length() / 2);
     }
 }
 

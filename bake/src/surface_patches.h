@@ -84,7 +84,8 @@ private:
     std::vector<Id> mChild; ///< first of the parts, 0: undivided
     std::vector<Id> mRoot; ///< by element
     std::vector<std::uint32_t> mMembers; ///< elements, those of a patch together
-    std::vector<double> mAreaBefore; ///< by member: the areas of those before it; one more at the end
+    std::vector<double>
+        mAreaBefore; ///< by member: the areas of those before it; one more at the end
 };
 
 } // namespace lumivdb

@@ -199,7 +199,7 @@ TEST_CASE("instances: packets agree with single rays", "[instances]")
         rays->count = 0;
         for (int i = 0; i < kBatch; ++i) rays->push(from, Vec3f(randomDirection(rng)), 1e30f);
         intersectCoherent(impl, *rays, *packet);
-        intersectSingle(impl, *rays, *single);
+        intersectScattered(impl, *rays, *single);
         for (int i = 0; i < kBatch; ++i) {
             different += packet->triangle[i] != single->triangle[i];
             different += std::abs(packet->t[i] - single->t[i]) > 1e-5f * single->t[i];

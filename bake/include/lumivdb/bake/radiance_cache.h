@@ -56,8 +56,8 @@ class RadianceCache {
 public:
     /// Same inputs, same bits, for any number of threads. @throws Error(Usage), Error(Interrupted);
     /// Error(Input) where the scene falls into more than maxPatches separate pieces.
-    RadianceCache(const Tracer& tracer, const RadianceCacheOptions& options,
-        Progress* progress = nullptr);
+    RadianceCache(
+        const Tracer& tracer, const RadianceCacheOptions& options, Progress* progress = nullptr);
     ~RadianceCache();
 
     const RadianceCacheOptions& options() const { return mOptions; }
