@@ -273,8 +273,8 @@ void PathTracer::lookUp(PathBatchResult& result)
     scatter(1, result);
 }
 
-void PathTracer::gather(const SurfacePoint* points, const Vec2f* square, const std::uint64_t* keys,
-    int count, PathBatchResult& result)
+void PathTracer::gather(
+    const SurfacePoint* points, const GatherDraw* draws, int count, PathBatchResult& result)
 {
     mPathCount = count;
     result.traced = 0;
@@ -284,13 +284,14 @@ void PathTracer::gather(const SurfacePoint* points, const Vec2f* square, const s
         path.surface = points[i];
         path.surface.albedo = path.throughput = Color(1.0f);
         path.stratum = i;
-        path.rng = CounterRng(keys[i]);
+        path.rng = CounterRng(draws[i].key);
     }
-    reflectFromEmitters(result);
     reflectFromPunctual(result);
+    std::copy_n(result.uniform, count, result.emitter);
+    reflectFromEmitters(result, draws);
     mNext.count = 0;
     for (int i = 0; i < count; ++i) {
-        const Vec3f d = cosineDirection(points[i].normal, square[i].x, square[i].y);
+        const Vec3f d = cosineDirection(points[i].normal, draws[i].square.x, draws[i].square.y);
         mNext.push(points[i].leaving(), d, kInfinity);
     }
     intersectCoherent(mImpl, mNext, mNextHits);
@@ -301,16 +302,16 @@ void PathTracer::gather(const SurfacePoint* points, const Vec2f* square, const s
     }
 }
 
-void PathTracer::reflectFromEmitters(PathBatchResult& result)
+void PathTracer::reflectFromEmitters(PathBatchResult& result, const GatherDraw* draws)
 {
     if (mImpl.emitters.empty()) return;
     mShadow.count = 0;
     double t[kBatch], u[kBatch], v[kBatch];
     for (int j = 0; j < mPathCount; ++j) {
         CounterRng& rng = mPaths[j].rng;
-        t[j] = rng.nextDouble();
-        u[j] = rng.nextDouble();
-        v[j] = rng.nextDouble();
+        t[j] = draws ? draws[j].emitter.x : rng.nextDouble();
+        u[j] = draws ? draws[j].emitter.y : rng.nextDouble();
+        v[j] = draws ? draws[j].emitter.z : rng.nextDouble();
         mImpl.emitters.prefetch(t[j]);
     }
     std::int64_t texel[kBatch]; // of the environment

@@ -60,6 +60,13 @@ struct ProbeStratum {
 std::vector<ProbeStratum> probeStrata(
     const Tracer::Impl& impl, const ProbeOptions& options, const std::vector<Vec3f>& directions);
 
+/// The random numbers of one of PathTracer::gather()'s points.
+struct GatherDraw {
+    Vec2f square; ///< of the cosine-distributed ray (Malley's map)
+    Vec3d emitter; ///< which emitter, and the place on it
+    std::uint64_t key; ///< of all others
+};
+
 class PathTracer {
 public:
     /// @a strata: probeStrata(), if trace() shall not find them again each time.
@@ -76,11 +83,10 @@ public:
         std::uint64_t key, PathBatchResult& result);
 
     /// For each of @a points one sample of the light it receives: result.uniform[i] is what arrives
-    /// straight from emitters and lights, E/π, and along a cosine-distributed ray (Malley's map of
-    /// square[i]) lies seen()[j], j the place of i in it. count ≤ kBatch.
-    /// The random numbers of point i come from keys[i].
-    void gather(const SurfacePoint* points, const Vec2f* square, const std::uint64_t* keys,
-        int count, PathBatchResult& result);
+    /// straight from emitters and lights, E/π, result.emitter[i] the lights' (punctual) part of it,
+    /// and what a cosine-distributed ray met is among seen(), in order. count ≤ kBatch.
+    void gather(
+        const SurfacePoint* points, const GatherDraw* draws, int count, PathBatchResult& result);
     /// What the rays of gather() met and reflects light: the point it came from, and where it met.
     struct Seen {
         SurfacePoint surface;
@@ -108,7 +114,8 @@ private:
         const Vec3f& p, const ProbeStratum* strata, int count, PathBatchResult& result);
     void startPaths(const Vec3f& p, const ProbeStratum* strata, std::uint64_t first, int count,
         std::uint64_t key, PathBatchResult& result);
-    void reflectFromEmitters(PathBatchResult& result);
+    /// @a draws gives the numbers that choose emitters, else the paths' own do.
+    void reflectFromEmitters(PathBatchResult& result, const GatherDraw* draws = nullptr);
     void reflectFromPunctual(PathBatchResult& result);
     void scatter(int bounce, PathBatchResult& result);
     void follow(PathBatchResult& result);

@@ -23,13 +23,13 @@ namespace {
 
 constexpr float kPi = 3.14159265358979323846f;
 /// Rays of a patch while it is decided which ones to divide.
-constexpr int kScouts = 16;
+constexpr int kScouts = 16, kFewScouts = 3;
 /// Rays of the smallest patches when it is solved.
 constexpr int kLeast = 8;
 /// Times that new patches send scouts of their own.
-static int kRounds = getenv("RND") ? atoi(getenv("RND")) : 3;
-static std::uint32_t kEnough = getenv("ENO") ? atoi(getenv("ENO")) : 4;
+constexpr int kRounds = 2;
 /// Scouts that must come near a patch before it is divided.
+constexpr std::uint32_t kEnough = 4;
 /// Direct light differs between a patch's quarters by this share of its mean: divided, or mixed.
 constexpr double kContrast = 0.5;
 /// The same as a share of the scene's mean, below which nobody will notice.
@@ -38,23 +38,34 @@ constexpr double kContrastOfScene = 0.1;
 constexpr float kSmallest = 1 / 8.0f;
 constexpr int kMaxIterations = 10000;
 
-/// Means of direct light over the quarters of a patch.
-struct Quarters {
-    double sum[4] = {}, squares[4] = {};
+/// Direct light at places of a patch.
+struct Direct {
+    double sum[4] = {}, squares[4] = {}; ///< by quarter of the patch
     int count[4] = {};
+    double lowest = 1e300, highest = 0; ///< of what has no noise: lights without size
 
-    void add(int quarter, double value)
+    void add(int quarter, double value, double punctual)
     {
         sum[quarter] += value;
         squares[quarter] += value * value;
         ++count[quarter];
+        lowest = std::min(lowest, punctual);
+        highest = std::max(highest, punctual);
     }
+    int samples() const { return count[0] + count[1] + count[2] + count[3]; }
     double mean() const
     {
-        const int n = count[0] + count[1] + count[2] + count[3];
-        return n > 0 ? (sum[0] + sum[1] + sum[2] + sum[3]) / n : 0;
+        return samples() > 0 ? (sum[0] + sum[1] + sum[2] + sum[3]) / samples() : 0;
     }
-    /// Difference between the brightest and the darkest, two standard errors taken off.
+    double deviation() const
+    {
+        const int n = samples();
+        if (n < 2) return 0;
+        const double m = mean();
+        const double square = squares[0] + squares[1] + squares[2] + squares[3];
+        return std::sqrt(std::max(0.0, square / n - m * m) * n / (n - 1));
+    }
+    /// Difference between the brightest quarter and the darkest, two standard errors taken off.
     double contrast() const
     {
         double low = 1e300, high = -1e300, lowVariance = 0, highVariance = 0;
@@ -69,7 +80,9 @@ struct Quarters {
     }
     bool changes(double sceneMean) const
     {
-        return contrast() > std::max(kContrast * mean(), kContrastOfScene * sceneMean);
+        const double least = kContrastOfScene * sceneMean;
+        return contrast() > std::max(kContrast * mean(), least)
+            || highest - lowest > std::max(kContrast * highest, least);
     }
 };
 
@@ -98,18 +111,15 @@ struct Worker {
     std::unique_ptr<PathTracer> paths;
     std::unique_ptr<PathBatchResult> batch;
     SurfacePoint points[kBatch];
-    Vec2f square[kBatch];
-    std::uint64_t keys[kBatch];
+    GatherDraw draws[kBatch];
     std::uint64_t rays = 0;
 
     void gather(int count)
     {
-        paths->gather(points, square, keys, count, *batch);
+        paths->gather(points, draws, count, *batch);
         rays += batch->traced;
     }
 };
-
-float frac(double x) { return std::min(static_cast<float>(x - std::floor(x)), 0x1.fffffep-1f); }
 
 } // namespace
 
@@ -204,33 +214,43 @@ private:
         for (const auto& worker : workers) mReport.rays += worker->rays;
     }
 
-    /// Places by a Kronecker sequence of the generalised golden ratio, directions along a Hilbert
-    /// curve over the hemisphere, so that neighbouring rays are alike; both shifted at random.
+    /// Places, and on the emitters, by a Kronecker sequence of the generalised golden ratio,
+    /// directions along a Hilbert curve over the hemisphere, so that neighbouring rays are alike;
+    /// all shifted at random.
     void place(Id id, int rays, int first, Worker& w) const
     {
-        constexpr double kGolden = 1.2207440846057596; // x⁴ = x + 1
+        constexpr int kDimensions = 6;
+        constexpr double kGolden = 1.1127756842787055; // x⁷ = x + 1
         const std::uint64_t key = hashCombine(
             hashCombine(mOptions.seed, static_cast<std::uint64_t>(rays)), mPatches->key(id));
         CounterRng rng(key);
-        const double shift[3] = {rng.nextDouble(), rng.nextDouble(), rng.nextDouble()};
+        double x[kDimensions], step[kDimensions];
+        for (int d = 0; d < kDimensions; ++d) {
+            x[d] = rng.nextDouble();
+            step[d] = d == 0 ? 1 / kGolden : step[d - 1] / kGolden;
+        }
         for (int k = 0; k < rays; ++k) {
-            const float choice = frac(shift[2] + k / (kGolden * kGolden * kGolden));
-            const Vec2f square(
-                frac(shift[0] + k / kGolden), frac(shift[1] + k / (kGolden * kGolden)));
-            w.points[first + k] = mPatches->sample(id, square, choice);
-            w.square[first + k] = Vec2f(hilbertPoint((k + rng.nextDouble()) / rays));
-            w.keys[first + k] = hashCombine(key, static_cast<std::uint64_t>(k));
+            const Vec2f square(static_cast<float>(x[0]), static_cast<float>(x[1]));
+            w.points[first + k] = mPatches->sample(id, square, static_cast<float>(x[2]));
+            w.draws[first + k].square = Vec2f(hilbertPoint((k + rng.nextDouble()) / rays));
+            w.draws[first + k].emitter = Vec3d(x[3], x[4], x[5]);
+            w.draws[first + k].key = hashCombine(key, static_cast<std::uint64_t>(k));
+            for (int d = 0; d < kDimensions; ++d) {
+                x[d] += step[d];
+                if (x[d] >= 1) x[d] -= 1;
+            }
         }
     }
 
-    Quarters quartersOf(Id id, int first, int rays, const Worker& w) const
+    Direct directOf(Id id, int first, int rays, const Worker& w) const
     {
-        Quarters q;
+        Direct d;
         for (int k = first; k < first + rays; ++k) {
-            q.add(mPatches->quarterOf(id, w.points[k].position),
-                static_cast<double>(luminance(w.batch->uniform[k])));
+            d.add(mPatches->quarterOf(id, w.points[k].position),
+                static_cast<double>(luminance(w.batch->uniform[k])),
+                static_cast<double>(luminance(w.batch->emitter[k])));
         }
-        return q;
+        return d;
     }
 
     void divide()
@@ -238,11 +258,11 @@ private:
         std::vector<Id> fresh = undivided();
         limitPieces(fresh.size());
         for (int round = 0; round < kRounds && !fresh.empty() && !mReport.full; ++round) {
-            std::vector<Quarters> direct(fresh.size());
+            std::vector<Direct> direct(fresh.size());
             std::vector<std::vector<Near>> near(fresh.size());
-            const auto scouts = [](std::size_t) { return kScouts; };
+            const auto scouts = [&](std::size_t i) { return scoutsOf(fresh[i]); };
             sample(fresh, scouts, [&](std::size_t i, Worker& w, int at, auto seen, auto end) {
-                direct[i] = quartersOf(fresh[i], at, kScouts, w);
+                direct[i] = directOf(fresh[i], at, scouts(i), w);
                 for (; seen != end; ++seen) {
                     const SurfacePoint& s = seen->surface;
                     const Near n{s.triangle, s.u, s.v, seen->distance, s.behind};
@@ -281,7 +301,7 @@ private:
                 + ": the scene's triangles do not hang together. Use the path integrator.");
     }
 
-    void meanDirect(const std::vector<Id>& ids, const std::vector<Quarters>& direct)
+    void meanDirect(const std::vector<Id>& ids, const std::vector<Direct>& direct)
     {
         double sum = 0, area = 0;
         for (std::size_t i = 0; i < ids.size(); ++i) {
@@ -346,7 +366,7 @@ private:
             Color sum(0.0f);
             for (int k = 0; k < rays(i); ++k) sum += w.batch->uniform[at + k];
             mDirect[i] = sum * (kPi / static_cast<float>(rays(i)));
-            mMixed[i] = quartersOf(mIds[i], at, rays(i), w).changes(mSceneMean);
+            mMixed[i] = directOf(mIds[i], at, rays(i), w).changes(mSceneMean);
             for (; seen != end; ++seen) {
                 const SurfacePoint& p = seen->surface;
                 const Id id = mPatches->find(p.triangle, p.u, p.v, p.behind);
@@ -362,6 +382,11 @@ private:
     }
 
     /// In proportion to the area: what is seen of a patch is.
+    int scoutsOf(Id id) const
+    {
+        const double share = mPatches->area(id) / (mSize * mSize);
+        return std::clamp(static_cast<int>(std::ceil(share * kScouts)), kFewScouts, kScouts);
+    }
     int raysOf(Id id) const
     {
         const double share = mPatches->area(id) / (mSize * mSize);
