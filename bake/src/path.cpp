@@ -280,6 +280,7 @@ void PathTracer::gather(
     result.traced = 0;
     for (int i = 0; i < count; ++i) {
         result.uniform[i] = Color(0.0f);
+        result.backFace[i] = false;
         Path& path = mPaths[i];
         path.surface = points[i];
         path.surface.albedo = path.throughput = Color(1.0f);
@@ -295,7 +296,7 @@ void PathTracer::gather(
         mNext.push(points[i].leaving(), d, kInfinity);
     }
     intersectCoherent(mImpl, mNext, mNextHits);
-    follow(result);
+    follow(result, true);
     mSeen.clear();
     for (int j = 0; j < mPathCount; ++j) {
         mSeen.push_back({mPaths[j].surface, mPaths[j].stratum, mPaths[j].distance});
@@ -417,7 +418,7 @@ void PathTracer::scatter(int bounce, PathBatchResult& result)
 }
 
 /// Adds what the rays mNext of mPaths bring, and moves those paths to what they met.
-void PathTracer::follow(PathBatchResult& result)
+void PathTracer::follow(PathBatchResult& result, bool markBacks)
 {
     note(mNext, false);
     result.traced += static_cast<std::uint64_t>(mNext.count);
@@ -442,6 +443,7 @@ void PathTracer::follow(PathBatchResult& result)
                 = mImpl.emitters.pdfTriangle(s.emitter, mNextHits.t[j], std::abs(s.normal.dot(d)));
             result.uniform[path.stratum] += path.throughput * s.emission * weight(pdf);
         }
+        if (markBacks && s.backFace) result.backFace[path.stratum] = true;
         if (maxComponent(s.albedo) <= 0) continue;
         Path& next = mPaths[mPathCount++];
         next.surface = s;

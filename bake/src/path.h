@@ -84,7 +84,8 @@ public:
 
     /// For each of @a points one sample of the light it receives: result.uniform[i] is what arrives
     /// straight from emitters and lights, E/π, result.emitter[i] the lights' (punctual) part of it,
-    /// and what a cosine-distributed ray met is among seen(), in order. count ≤ kBatch.
+    /// result.backFace[i] that its ray met the back of a single-sided surface (the point probably
+    /// lies inside of a solid), and what a cosine-distributed ray met is among seen(), in order. count ≤ kBatch.
     void gather(
         const SurfacePoint* points, const GatherDraw* draws, int count, PathBatchResult& result);
     /// What the rays of gather() met and reflects light: the point it came from, and where it met.
@@ -118,7 +119,7 @@ private:
     void reflectFromEmitters(PathBatchResult& result, const GatherDraw* draws = nullptr);
     void reflectFromPunctual(PathBatchResult& result);
     void scatter(int bounce, PathBatchResult& result);
-    void follow(PathBatchResult& result);
+    void follow(PathBatchResult& result, bool markBacks = false);
     void lookUp(PathBatchResult& result);
     void addUnoccluded(PathBatchResult& result);
     bool choosePunctual(const SurfacePoint& s, CounterRng& rng, PunctualSample& light);

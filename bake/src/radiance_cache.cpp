@@ -356,6 +356,7 @@ private:
         for (std::size_t i = 0; i < mIds.size(); ++i) mRow[mIds[i]] = static_cast<std::uint32_t>(i);
         mDirect.assign(mIds.size(), Color(0.0f));
         mMixed.assign(mIds.size(), 0);
+        mCount.assign(mIds.size(), 0);
         mFirstLink.assign(mIds.size() + 1, 0);
         for (std::size_t i = 0; i < mIds.size(); ++i) {
             mFirstLink[i + 1] = mFirstLink[i] + static_cast<std::size_t>(raysOf(mIds[i]));
@@ -364,8 +365,13 @@ private:
         const auto rays = [&](std::size_t i) { return raysOf(mIds[i]); };
         sample(mIds, rays, [&](std::size_t i, Worker& w, int at, auto seen, auto end) {
             Color sum(0.0f);
-            for (int k = 0; k < rays(i); ++k) sum += w.batch->uniform[at + k];
-            mDirect[i] = sum * (kPi / static_cast<float>(rays(i)));
+            int buried = 0;
+            for (int k = at; k < at + rays(i); ++k) {
+                if (w.batch->backFace[k]) ++buried;
+                else sum += w.batch->uniform[k];
+            }
+            mCount[i] = static_cast<float>(rays(i) - buried);
+            if (buried < rays(i)) mDirect[i] = sum * (kPi / mCount[i]);
             mMixed[i] = directOf(mIds[i], at, rays(i), w).changes(mSceneMean);
             for (; seen != end; ++seen) {
                 const SurfacePoint& p = seen->surface;
@@ -403,7 +409,7 @@ private:
             const Color& e = light[link.patch];
             for (int c = 0; c < 3; ++c) sum[c] += static_cast<float>(link.albedo[c]) * e[c];
         }
-        return sum * (1 / (65535.0f * static_cast<float>(mFirstLink[row + 1] - mFirstLink[row])));
+        return sum * (1 / (65535.0f * std::max(mCount[row], 1.0f)));
     }
 
     void iterate()
@@ -483,6 +489,7 @@ private:
     std::vector<std::uint32_t> mRow; ///< by patch
     std::vector<Color> mDirect, mLight; ///< by row
     std::vector<std::uint8_t> mMixed;
+    std::vector<float> mCount; ///< rays that count, by row
     std::vector<std::size_t> mFirstLink; ///< by row; one more at the end
     std::vector<Link> mLinks;
 };
