@@ -367,8 +367,10 @@ private:
             Color sum(0.0f);
             int buried = 0;
             for (int k = at; k < at + rays(i); ++k) {
-                if (w.batch->backFace[k]) ++buried;
-                else sum += w.batch->uniform[k];
+                if (w.batch->backFace[k])
+                    ++buried;
+                else
+                    sum += w.batch->uniform[k];
             }
             mCount[i] = static_cast<float>(rays(i) - buried);
             if (buried < rays(i)) mDirect[i] = sum * (kPi / mCount[i]);
