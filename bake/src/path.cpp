@@ -117,7 +117,7 @@ void PathTracer::sampleEmittersAtProbe(
         const double t = jitteredStratum(
             mOptions.seed ^ kEmitterStream, first + static_cast<std::uint64_t>(i), total);
         const EmitterSample s
-            = mImpl.emitters.sampleStratum(p, t, [&](std::uint32_t triangle, float u, float v) {
+            = mImpl.emitters.sampleStratum({p}, t, [&](std::uint32_t triangle, float u, float v) {
                   return mImpl.emissionAt(mImpl.triangles[triangle], u, v);
               });
         if (!(s.pdf > 0)) continue;
@@ -165,7 +165,7 @@ void PathTracer::startPaths(
         result.plane[i] = InversePlane(s.normal, d, result.hits.t[i]);
         if (direct && s.emitter >= 0) {
             const double pdf = mImpl.emitters.pdfTriangle(
-                s.emitter, result.hits.t[i], std::abs(s.normal.dot(d)));
+                {p}, s.emitter, result.hits.t[i], std::abs(s.normal.dot(d)));
             result.uniform[i] = s.emission * weight(pdf);
         }
         if (maxComponent(s.albedo) <= 0) continue;
@@ -196,10 +196,10 @@ void PathTracer::reflectFromEmitters(PathBatchResult& result)
         const Vec3f from = s.leaving();
         const double t = path.rng.nextDouble(), u = path.rng.nextDouble(),
                      v = path.rng.nextDouble();
-        const EmitterSample e
-            = mImpl.emitters.sample(from, t, u, v, [&](std::uint32_t triangle, float tu, float tv) {
-                  return mImpl.emissionAt(mImpl.triangles[triangle], tu, tv);
-              });
+        const EmitterSample e = mImpl.emitters.sample(
+            s.receiver(), t, u, v, [&](std::uint32_t triangle, float tu, float tv) {
+                return mImpl.emissionAt(mImpl.triangles[triangle], tu, tv);
+            });
         const float cosine = s.normal.dot(e.direction);
         if (!(e.pdf > 0) || !(cosine > 0)) continue;
         // f cos / (p_emitter + p_cosine): balance heuristic against the cosine sample of scatter().
@@ -307,8 +307,8 @@ void PathTracer::scatter(int bounce, PathBatchResult& result)
         const SurfacePoint s = mImpl.surfaceSeen(path.surface.leaving(), d, mNextHits.triangle[j],
             mNextHits.t[j], mNextHits.u[j], mNextHits.v[j]);
         if (s.emitter >= 0) {
-            const double pdf
-                = mImpl.emitters.pdfTriangle(s.emitter, mNextHits.t[j], std::abs(s.normal.dot(d)));
+            const double pdf = mImpl.emitters.pdfTriangle(
+                path.surface.receiver(), s.emitter, mNextHits.t[j], std::abs(s.normal.dot(d)));
             result.uniform[path.stratum] += path.throughput * s.emission * weight(pdf);
         }
         if (maxComponent(s.albedo) <= 0) continue;

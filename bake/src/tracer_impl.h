@@ -27,6 +27,7 @@ struct SurfacePoint {
     std::uint32_t triangle; ///< into Tracer::Impl::triangles
 
     Vec3f leaving() const { return position + normal * offset; }
+    Receiver receiver() const { return {leaving(), normal}; }
 };
 
 struct Tracer::Impl {
