@@ -95,6 +95,31 @@ struct PunctualSample {
 };
 PunctualSample samplePunctual(const Light& light, const Vec3f& localPosition, const Vec3f& to);
 
+/// Point, spot and directional lights, to draw one of them for a place on a surface. Up to
+/// kWeighedLights are weighed one by one by what they give there, more of them by a LightTree.
+class PunctualTable {
+public:
+    static constexpr std::size_t kWeighedLights = 64;
+
+    PunctualTable() = default;
+    /// @a origin: world position of local zero. Keeps @a lights, which must outlive it.
+    PunctualTable(const std::vector<Light>& lights, const Vec3d& origin);
+
+    bool empty() const { return mLights == nullptr || mLights->empty(); }
+
+    /// Draws a light from @a t ∈ [0,1); its irradiance, unshadowed, is divided by the chance to
+    /// draw it. The receiver needs a normal. False: no light arrives.
+    bool sample(const Receiver& to, double t, PunctualSample& light) const;
+
+private:
+    PunctualSample at(std::size_t light, const Vec3f& to) const;
+    bool sampleWeighed(const Receiver& to, double t, PunctualSample& light) const;
+
+    const std::vector<Light>* mLights = nullptr;
+    std::vector<Vec3f> mPositions; // local
+    LightTree mTree; // where they are many
+};
+
 } // namespace lumivdb
 
 #include "emitters_sample.h"

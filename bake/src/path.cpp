@@ -25,8 +25,6 @@ constexpr int kLongPath = 2048;
 constexpr float kLongPathSurvival = 0.999f;
 /// Shadow rays stop this much short of the light, in their length: Embree's distances round.
 constexpr float kShadowEnd = 1 - 0x1p-17f;
-/// Punctual lights are weighed one by one up to this many, then chosen with equal chances.
-constexpr std::size_t kWeighedLights = 64;
 
 float maxComponent(const Color& c) { return std::max({c.x, c.y, c.z}); }
 
@@ -212,50 +210,15 @@ void PathTracer::reflectFromEmitters(PathBatchResult& result)
     addUnoccluded(result);
 }
 
-bool PathTracer::choosePunctual(const SurfacePoint& s, CounterRng& rng, PunctualSample& light)
-{
-    const std::vector<Light>& lights = mImpl.scene->lights;
-    const Vec3f from = s.leaving();
-    const auto sampleLight = [&](std::size_t i) {
-        return samplePunctual(lights[i], mImpl.toLocal(lights[i].position), from);
-    };
-    if (lights.size() > kWeighedLights) {
-        const auto i = std::min(lights.size() - 1,
-            static_cast<std::size_t>(rng.nextDouble() * static_cast<double>(lights.size())));
-        light = sampleLight(i);
-        light.irradiance *= static_cast<float>(lights.size());
-        return s.normal.dot(light.direction) > 0;
-    }
-    float weights[kWeighedLights];
-    float total = 0;
-    for (std::size_t i = 0; i < lights.size(); ++i) {
-        const PunctualSample candidate = sampleLight(i);
-        weights[i]
-            = std::max(0.0f, s.normal.dot(candidate.direction)) * luminance(candidate.irradiance);
-        total += weights[i];
-    }
-    if (!(total > 0) || !std::isfinite(total)) return false;
-    float target = rng.next() * total;
-    std::size_t chosen = lights.size();
-    for (std::size_t i = 0; i < lights.size(); ++i) {
-        if (!(weights[i] > 0)) continue;
-        chosen = i;
-        target -= weights[i];
-        if (target < 0) break;
-    }
-    light = sampleLight(chosen);
-    light.irradiance *= total / weights[chosen];
-    return true;
-}
-
 void PathTracer::reflectFromPunctual(PathBatchResult& result)
 {
-    if (mImpl.scene->lights.empty()) return;
+    if (mImpl.punctual.empty()) return;
     mShadow.count = 0;
     for (int j = 0; j < mPathCount; ++j) {
         Path& path = mPaths[j];
         PunctualSample light;
-        if (!choosePunctual(path.surface, path.rng, light)) continue;
+        const double t = path.rng.nextDouble();
+        if (!mImpl.punctual.sample(path.surface.receiver(), t, light)) continue;
         const float cosine = path.surface.normal.dot(light.direction);
         mShadowValue[mShadow.count]
             = path.throughput * path.surface.albedo * light.irradiance * (cosine / kPi);

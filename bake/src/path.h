@@ -81,7 +81,6 @@ private:
     void reflectFromPunctual(PathBatchResult& result);
     void scatter(int bounce, PathBatchResult& result);
     void addUnoccluded(PathBatchResult& result);
-    bool choosePunctual(const SurfacePoint& s, CounterRng& rng, PunctualSample& light);
 
     void note(const RayBatch& rays, bool shadow);
 

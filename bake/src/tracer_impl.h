@@ -49,6 +49,7 @@ struct Tracer::Impl {
     std::vector<Vec3f> vertices;
     std::uint32_t opaqueCount = 0;
     EmitterTable emitters;
+    PunctualTable punctual;
 
     Impl() = default;
     Impl(const Impl&) = delete;
