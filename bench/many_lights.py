@@ -11,8 +11,8 @@ pillars), `points` (N point lights) or `spots` (N spot lights, all directions), 
 pillars. Brightness spans three decades, so that power alone says little about what arrives where.
 
 `measure` probes each scene at the same random points by every program, interleaved, and compares
-with a reference of 64 times the rays by the first program. It prints a Markdown table: seconds (the
-fastest of --repeat), standard error as reported and RMS error as found, both relative to the mean
+with a reference of 64 times the rays by the last program. It prints a Markdown table: processor
+seconds of tracing (the fastest of --repeat, a run of one point taken off) and of that run, standard error as reported and RMS error as found, both relative to the mean
 irradiance, and 1/(error² · seconds), the efficiency, over the first program's.
 """
 
@@ -21,9 +21,9 @@ import json
 import math
 import pathlib
 import random
+import resource
 import struct
 import subprocess
-import time
 
 WIDTH, HEIGHT, DEPTH = 40.0, 8.0, 40.0
 
@@ -178,13 +178,14 @@ def make(kind, count, path):
 
 
 def probe(program, scene, points, rays, seed, more):
-    """Seconds without the scene's loading, reported standard error, irradiances."""
+    """Processor seconds, reported standard error, coefficients."""
     text = "".join("%.9g,%.9g,%.9g\n" % tuple(p) for p in points)
-    start = time.monotonic()
+    start = resource.getrusage(resource.RUSAGE_CHILDREN)
     out = subprocess.run([program, "probe", str(scene), "--points", "-", "--rays", str(rays),
                           "--seed", str(seed), "--quiet", *more],
                          input=text, capture_output=True, text=True, check=True).stdout
-    seconds = time.monotonic() - start
+    end = resource.getrusage(resource.RUSAGE_CHILDREN)
+    seconds = end.ru_utime + end.ru_stime - start.ru_utime - start.ru_stime
     rows = [[float(c) for c in line.split(",")] for line in out.splitlines()[1:]]
     return seconds, [r[5] for r in rows], [r[6:] for r in rows]
 
@@ -209,14 +210,15 @@ def measure(args):
     more = ["--env", args.sky] if args.sky else []
     rng = random.Random(99)
     points = [free_point(rng) for _ in range(args.points)]
-    print("| scene | program | seconds | stderr | error | efficiency |\n|---|---|---|---|---|---|")
+    print("| scene | program | seconds | load | stderr | error | efficiency |\n"
+          "|---|---|---|---|---|---|---|")
     for name in args.scenes.split(","):
         scene = pathlib.Path(name)
         if not scene.exists():
             kind, count = name.split(":")
             scene = out / f"{kind}_{count}.glb"
             make(kind, int(count), scene)
-        _, _, reference = probe(args.program[0], scene, points, 64 * args.rays, 1000, more)
+        _, _, reference = probe(args.program[-1], scene, points, 64 * args.rays, 1000, more)
         mean = sum(math.pi * r[0] * 0.28209479 for r in reference) / len(reference)
         runs = {p: [] for p in args.program}
         load = {p: min(probe(p, scene, points[:1], 2, 1, more)[0] for _ in range(args.repeat))
@@ -232,7 +234,7 @@ def measure(args):
                                   for i, v in enumerate(r[2])) / len(points) / len(results)) / mean
             efficiency = 1 / (error * error * seconds)
             base = base or efficiency
-            print(f"| {name} | {p} | {seconds:.2f} | {stderr:.4f} | {error:.4f} "
+            print(f"| {name} | {p} | {seconds:.2f} | {load[p]:.2f} | {stderr:.4f} | {error:.4f} "
                   f"| {efficiency / base:.2f} |", flush=True)
 
 
