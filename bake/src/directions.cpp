@@ -8,30 +8,48 @@
 
 namespace lumivdb {
 
+namespace {
+
+/// The even bits of @a v, together.
+constexpr std::uint64_t evenBits(std::uint64_t v)
+{
+    v &= 0x5555555555555555ull;
+    v = (v | v >> 1) & 0x3333333333333333ull;
+    v = (v | v >> 2) & 0x0f0f0f0f0f0f0f0full;
+    v = (v | v >> 4) & 0x00ff00ff00ff00ffull;
+    v = (v | v >> 8) & 0x0000ffff0000ffffull;
+    return (v | v >> 16) & 0x00000000ffffffffull;
+}
+
+/// Bit k becomes the parity of the bits above it; below 32 bits.
+constexpr std::uint64_t parityAbove(std::uint64_t v)
+{
+    v >>= 1;
+    v ^= v >> 1;
+    v ^= v >> 2;
+    v ^= v >> 4;
+    v ^= v >> 8;
+    return v ^ v >> 16;
+}
+
+} // namespace
+
 Vec2d hilbertPoint(double t)
 {
-    // Two bits of t a level choose the quadrant; the curve's state is a reflection/transposition
-    // that is applied from the finest level up (Lam & Shapiro 1994).
+    // Two bits of t a level choose the quadrant. The first and the last quadrant hold the curve
+    // transposed, the last turned half round too; both commute, so how a level lies is the parity
+    // of such quadrants above it, and all levels are found at once.
     constexpr int kLevels = 20;
+    constexpr std::uint64_t kMask = (std::uint64_t{1} << kLevels) - 1;
     constexpr double kScale = static_cast<double>(std::uint64_t{1} << (2 * kLevels));
     const auto d = static_cast<std::uint64_t>(t * kScale);
-    double x = 0.5, y = 0.5;
-    double size = 1;
-    for (int level = 0; level < kLevels; ++level) {
-        const auto rx = static_cast<int>(d >> (2 * level + 1) & 1);
-        const auto ry = static_cast<int>((d >> (2 * level) ^ static_cast<unsigned>(rx)) & 1);
-        if (ry == 0) {
-            if (rx == 1) {
-                x = size - x;
-                y = size - y;
-            }
-            std::swap(x, y);
-        }
-        x += size * rx;
-        y += size * ry;
-        size *= 2;
-    }
-    return {x / size, y / size};
+    const std::uint64_t high = evenBits(d >> 1), low = evenBits(d);
+    const std::uint64_t turned = parityAbove(high & low);
+    const std::uint64_t swapped = parityAbove(~(high ^ low) & kMask) & low;
+    const std::uint64_t x = high ^ turned ^ swapped, y = high ^ low ^ turned ^ swapped;
+    constexpr double kStep = 1.0 / static_cast<double>(std::uint64_t{1} << kLevels);
+    return {(static_cast<double>(static_cast<std::int64_t>(x)) + 0.5) * kStep,
+        (static_cast<double>(static_cast<std::int64_t>(y)) + 0.5) * kStep};
 }
 
 Vec3d squareToSphere(const Vec2d& uv)
@@ -50,11 +68,7 @@ Vec2f sphereToSquare(const Vec3f& d)
 {
     const float r = std::sqrt(std::max(0.0f, 1 - std::abs(d.z)));
     const float ax = std::abs(d.x), ay = std::abs(d.y), most = std::max(ax, ay);
-    // 2/π · atan of the smaller over the larger (Abramowitz & Stegun 4.4.49, error 1e-5).
-    const float q = most > 0 ? std::min(ax, ay) / most : 0.0f, q2 = q * q;
-    const float angle = q * 0.636619772f
-        * (0.9998660f
-            + q2 * (-0.3302995f + q2 * (0.1801410f + q2 * (-0.0851330f + q2 * 0.0208351f))));
+    const float angle = most > 0 ? quarterTurns(std::min(ax, ay) / most) : 0.0f;
     float v = r * (ay > ax ? 1 - angle : angle);
     float u = r - v;
     if (d.z < 0) {

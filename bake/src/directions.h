@@ -15,6 +15,15 @@ namespace lumivdb {
 /// continuous: consecutive strata of t are neighbouring strata of the square.
 Vec2d hilbertPoint(double t);
 
+/// 2/π · atan @a q for q ∈ [0, 1], to 1e-5 (Abramowitz & Stegun 4.4.49).
+inline float quarterTurns(float q)
+{
+    const float q2 = q * q;
+    return q * 0.636619772f
+        * (0.9998660f
+            + q2 * (-0.3302995f + q2 * (0.1801410f + q2 * (-0.0851330f + q2 * 0.0208351f))));
+}
+
 /// Equal-area octahedral map of the unit square onto the sphere (Clarberg 2008); dω = 4π du dv.
 Vec3d squareToSphere(const Vec2d& uv);
 

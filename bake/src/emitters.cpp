@@ -50,6 +50,10 @@ void EmitterTable::finish(std::shared_ptr<const Environment> environment)
         sum += t.probability;
         mCdf.push_back(sum);
     }
+    if (environmentLit) {
+        mPerEnvironmentProbability = 1 / mEnvironmentProbability;
+        mEnvironmentStart = mCdf.empty() ? 0.0 : mCdf.back();
+    }
     mCdf.push_back(1.0);
     // Rounding must not leave a gap at the end that nothing owns.
     if (!environmentLit) mCdf[mCdf.size() - 2] = 1.0;
@@ -82,16 +86,24 @@ EmitterTable::Choice EmitterTable::chooseFromTree(const Receiver& to, double& t)
     return {mTriangles.size(), mEnvironmentProbability};
 }
 
-EmitterSample EmitterTable::sampleEnvironment(double u, double v) const
+EmitterSample EmitterTable::environmentSample(const Environment::Sample& e) const
 {
     EmitterSample s;
-    if (!mEnvironment) return s;
-    const Environment::Sample e = mEnvironment->sample(u, v);
     s.direction = Vec3f(e.direction);
     s.infinite = true;
     s.radiance = e.radiance;
     s.pdf = e.pdf * mEnvironmentProbability;
     return s;
+}
+
+EmitterSample EmitterTable::sampleEnvironment(double u, double v) const
+{
+    return mEnvironment ? environmentSample(mEnvironment->sample(u, v)) : EmitterSample();
+}
+
+EmitterSample EmitterTable::sampleEnvironmentTexel(std::int64_t texel, double u, double v) const
+{
+    return environmentSample(mEnvironment->sampleTexel(static_cast<std::uint32_t>(texel), u, v));
 }
 
 double EmitterTable::pdfTriangle(

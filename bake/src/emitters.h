@@ -9,6 +9,8 @@
 
 #include "light_tree.h"
 
+#include <algorithm>
+#include <cstdint>
 #include <memory>
 #include <vector>
 
@@ -59,9 +61,25 @@ public:
     EmitterSample sample(
         const Receiver& to, double t, double u, double v, const Emission& emission) const;
 
+    /// sample() for many, see Environment: first prefetch(t) for all, then environmentTexel(t) for
+    /// all, which is −1 where t draws a triangle, else what sampleEnvironmentTexel() takes.
+    void prefetch(double t) const
+    {
+        const double rest = environmentRest(t);
+        if (rest >= 0) mEnvironment->prefetchDraw(rest);
+    }
+    std::int64_t environmentTexel(double t) const
+    {
+        const double rest = environmentRest(t);
+        return rest >= 0 ? std::int64_t{mEnvironment->drawTexel(rest)} : -1;
+    }
+    EmitterSample sampleEnvironmentTexel(std::int64_t texel, double u, double v) const;
+
     /// Density of sample() at @a to for a triangle met at @a distance under |cos| = @a cosine.
     double pdfTriangle(const Receiver& to, int emitter, double distance, double cosine) const;
     double pdfEnvironment(const Vec3f& direction) const;
+    /// Of drawing the environment.
+    double environmentProbability() const { return mEnvironmentProbability; }
 
 private:
     /// An emitter, triangleCount() being the environment, and the chance to draw it.
@@ -75,10 +93,19 @@ private:
     EmitterSample samplePoint(const Choice& choice, const Vec3f& from, double s, double t,
         const Emission& emission) const;
     EmitterSample sampleEnvironment(double u, double v) const;
+    /// What t ∈ [0, 1) has left where it draws the environment, else negative.
+    double environmentRest(double t) const
+    {
+        return mEnvironmentProbability > 0
+            ? std::min((t - mEnvironmentStart) * mPerEnvironmentProbability, 0x1.fffffffffffffp-1)
+            : -1.0;
+    }
+    EmitterSample environmentSample(const Environment::Sample& e) const;
 
     std::vector<Triangle> mTriangles;
     std::shared_ptr<const Environment> mEnvironment;
-    double mEnvironmentProbability = 0;
+    double mEnvironmentProbability = 0, mPerEnvironmentProbability = 0;
+    double mEnvironmentStart = 0; // of the t that draw it
     std::vector<double> mCdf; // triangles in order, then the environment; ends at 1
     LightTree mTree; // of the triangles, where they are many
 };

@@ -35,6 +35,8 @@ template <class Emission>
 EmitterSample EmitterTable::sample(
     const Receiver& to, double t, double u, double v, const Emission& emission) const
 {
+    const std::int64_t texel = environmentTexel(t);
+    if (texel >= 0) return sampleEnvironmentTexel(texel, u, v);
     const Choice choice = choose(to, t);
     return samplePoint(choice, to.position, u, v, emission);
 }
@@ -57,8 +59,7 @@ EmitterSample EmitterTable::samplePoint(const Choice& choice, const Vec3f& from,
     const Vec3d d = Vec3d(point) - Vec3d(from);
     const double distance2 = d.length2();
     if (!(distance2 > 0)) return s;
-    const double distance = std::sqrt(distance2);
-    s.direction = Vec3f(d / distance);
+    s.direction = Vec3f(d * (1 / std::sqrt(distance2)));
     s.target = point;
     s.normal = e.normal;
     const double cosine = std::abs(static_cast<double>(e.normal.dot(s.direction)));

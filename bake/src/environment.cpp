@@ -45,23 +45,72 @@ int invertRunningSum(const double* cum, int n, double u, double& fraction)
     return static_cast<int>(step - cum);
 }
 
+/// A cell of Walker's alias method (ACM TOMS 3(3), 1977): @a keep of it is the cell's own texel.
+struct AliasCell {
+    float keep = 1;
+    std::uint32_t other = 0;
+};
+
+/// Vose's way to make the table (IEEE TSE 17(9), 1991), without his two lists: what gives until it
+/// is too little itself takes at once where the scan has passed it. @a mass sums to its size.
+std::vector<AliasCell> aliasCells(std::vector<double> mass)
+{
+    const std::size_t n = mass.size();
+    std::vector<AliasCell> cells(n);
+    std::size_t little = 0, much = 0;
+    const auto skip = [&] {
+        while (little < n && mass[little] >= 1) ++little;
+        while (much < n && mass[much] < 1) ++much;
+    };
+    skip();
+    for (std::size_t cell = little; cell < n && much < n;) {
+        cells[cell] = {static_cast<float>(mass[cell]), static_cast<std::uint32_t>(much)};
+        mass[much] -= 1 - mass[cell];
+        const std::size_t giver = much;
+        const bool takes = mass[giver] < 1 && giver < little;
+        if (!takes) ++little;
+        skip();
+        cell = takes ? giver : little;
+    }
+    return cells;
+}
+
 /// The pixels and their distribution; shared by all rotations of one map.
 struct Light {
     std::unique_ptr<const ImageProjection> projection;
     std::vector<Color> pixels;
     std::vector<double> columnSums; ///< per row: running sums of luminance × solid angle
     std::vector<double> rowSums; ///< running sums of the rows' totals
+    std::vector<AliasCell> alias; ///< over all texels, for numbers without strata
     double total = 0.0; ///< ∫ luminance dω
+    double perTotal = 0.0; ///< its inverse
     std::uint64_t hash = 0;
 
     const Color& at(Texel texel) const
     {
         return pixels[static_cast<std::size_t>(texel.y) * projection->width + texel.x];
     }
+    std::size_t cellOf(double t) const
+    {
+        const auto n = alias.size();
+        const auto cell = static_cast<std::int64_t>(t * static_cast<double>(n));
+        return std::min(static_cast<std::size_t>(cell), n - 1);
+    }
+    /// Number of the texel that t ∈ [0,1) draws.
+    std::uint32_t draw(double t) const
+    {
+        const std::size_t cell = cellOf(t);
+        const double rest = t * static_cast<double>(alias.size()) - static_cast<double>(cell);
+        return rest < alias[cell].keep ? static_cast<std::uint32_t>(cell) : alias[cell].other;
+    }
+    double weight(Texel texel) const
+    {
+        return luminanceOf(at(texel)) * projection->solidAngle(texel);
+    }
     double pdf(Texel texel, const Vec3d& d) const
     {
-        const double weight = luminanceOf(at(texel)) * projection->solidAngle(texel);
-        return weight > 0 ? weight / total * projection->pointDensity(texel, d) : 0.0;
+        const double w = weight(texel);
+        return w > 0 ? w * perTotal * projection->pointDensity(texel, d) : 0.0;
     }
 };
 
@@ -73,13 +122,23 @@ void buildDistribution(Light& light)
     tbb::parallel_for(0, h, [&](int y) {
         double sum = 0;
         for (int x = 0; x < w; ++x) {
-            sum += luminanceOf(light.at({x, y})) * light.projection->solidAngle({x, y});
+            sum += light.weight({x, y});
             light.columnSums[static_cast<std::size_t>(y) * w + x] = sum;
         }
         light.rowSums[y] = sum;
     });
     for (int y = 1; y < h; ++y) light.rowSums[y] += light.rowSums[y - 1];
     light.total = light.rowSums[h - 1];
+    if (!(light.total > 0)) return;
+    light.perTotal = 1 / light.total;
+    std::vector<double> mass(light.pixels.size());
+    const double scale = static_cast<double>(mass.size()) / light.total;
+    tbb::parallel_for(0, h, [&](int y) {
+        for (int x = 0; x < w; ++x) {
+            mass[static_cast<std::size_t>(y) * w + x] = scale * light.weight({x, y});
+        }
+    });
+    light.alias = aliasCells(std::move(mass));
 }
 
 template <typename T> std::uint64_t bitsOf(const T& value)
@@ -162,6 +221,14 @@ struct Environment::Impl {
     {
         return Vec3d(row(toWorld, 0).dot(d), row(toWorld, 1).dot(d), row(toWorld, 2).dot(d));
     }
+    /// The point (s, t) of a texel, as a sample.
+    Sample sampleIn(Texel texel, double s, double t) const
+    {
+        Vec3d d(0, 0, 1);
+        const bool onSphere = light->projection->pointIn(texel, s, t, d);
+        if (!onSphere) return {d.normalized() * toWorld, Color(0), 0.0};
+        return {d * toWorld, light->at(texel), light->pdf(texel, d)};
+    }
 };
 
 Environment::Environment() = default;
@@ -226,18 +293,40 @@ Environment::Sample Environment::sample(double u, double v) const
     texel.y = invertRunningSum(light.rowSums.data(), h, v, t);
     texel.x = invertRunningSum(
         light.columnSums.data() + static_cast<std::size_t>(texel.y) * w, w, u, s);
-    Vec3d d(0, 0, 1);
-    const bool onSphere = light.projection->pointIn(texel, s, t, d);
-    if (!onSphere) return {d.normalized() * mImpl->toWorld, Color(0), 0.0};
-    return {d * mImpl->toWorld, light.at(texel), light.pdf(texel, d)};
+    return mImpl->sampleIn(texel, s, t);
 }
 
-double Environment::pdf(const Vec3d& d) const
+void Environment::prefetchDraw(double t) const
+{
+    const Light& light = *mImpl->light;
+    __builtin_prefetch(&light.alias[light.cellOf(t)]);
+}
+
+std::uint32_t Environment::drawTexel(double t) const
+{
+    const Light& light = *mImpl->light;
+    const std::uint32_t texel = light.draw(t);
+    __builtin_prefetch(&light.pixels[texel]);
+    return texel;
+}
+
+Environment::Sample Environment::sampleTexel(std::uint32_t texel, double u, double v) const
+{
+    const auto w = static_cast<std::uint32_t>(mImpl->light->projection->width);
+    const auto inset = [](double x) { return std::clamp(x, kInset, 1.0 - kInset); };
+    return mImpl->sampleIn(
+        {static_cast<int>(texel % w), static_cast<int>(texel / w)}, inset(u), inset(v));
+}
+
+Environment::Arrival Environment::arrival(const Vec3d& d) const
 {
     const Light& light = *mImpl->light;
     const Vec3d local = mImpl->toImage(d);
-    return light.pdf(light.projection->texelAt(local), local);
+    const Texel texel = light.projection->texelAt(local);
+    return {light.at(texel), light.pdf(texel, local)};
 }
+
+double Environment::pdf(const Vec3d& d) const { return arrival(d).pdf; }
 
 double Environment::power() const { return mImpl->light->total; }
 

@@ -35,6 +35,8 @@
 // solid angle is closed: ∂²/∂a∂b atan(ab/√(1+a²+b²)) = (1+a²+b²)^(−3/2).
 #include "environment_projection.h"
 
+#include "directions.h"
+
 #include <lumivdb/core/error.h>
 
 #include <tbb/parallel_for.h>
@@ -48,9 +50,19 @@ namespace lumivdb::detail {
 namespace {
 
 constexpr double kPi = 3.14159265358979323846;
+constexpr float kPiF = 3.14159265358979323846f;
 
 /// floor(x) inside [0, n−1]; NaN gives 0.
 int clampIndex(double x, int n) { return x > 0.0 ? static_cast<int>(std::min(x, n - 1.0)) : 0; }
+
+/// Angle of (x, y) from +x towards +y in (−π, π], to 2e-5.
+float roughAngle(float x, float y)
+{
+    const float ax = std::abs(x), ay = std::abs(y), most = std::max(ax, ay);
+    const float octant = most > 0 ? kPiF / 2 * quarterTurns(std::min(ax, ay) / most) : 0.0f;
+    const float quadrant = ay > ax ? kPiF / 2 - octant : octant;
+    return std::copysign(x < 0 ? kPiF - quadrant : quadrant, y);
+}
 
 /// Nodes and weights on [0,1]; weights add up to 1.
 struct Rule {
@@ -78,40 +90,95 @@ Rule ruleFor(double angle)
     return rule;
 }
 
+/// Equal sectors of a circle, or of part of it. Angles count from +x towards +y.
+class Sectors {
+public:
+    Sectors(double first, double angle, int count)
+        : mFirst(static_cast<float>(first))
+        , mPerAngle(static_cast<float>(count / angle))
+        , mStep(angle / count)
+        , mCount(count)
+    {
+        const auto direction = [](double a) { return Vec2d(std::cos(a), std::sin(a)); };
+        for (int i = 0; i <= count; ++i) mEdges.push_back(direction(first + angle * i / count));
+        for (int i = 0; i < count; ++i) {
+            mMiddles.push_back(direction(first + angle * (i + 0.5) / count));
+        }
+    }
+
+    /// The sector that (x, y), of any length, lies in: exactly that between its edges.
+    int find(double x, double y) const
+    {
+        const auto edge = [&](int i) { return mEdges[static_cast<std::size_t>(i)]; };
+        const auto before = [&](int i) { return edge(i).x * y < edge(i).y * x; };
+        const float angle = roughAngle(static_cast<float>(x), static_cast<float>(y));
+        int i = clampIndex((angle - mFirst) * mPerAngle, mCount);
+        while (i > 0 && before(i)) --i;
+        while (i + 1 < mCount && !before(i + 1)) ++i;
+        return i;
+    }
+
+    /// Cosine and sine of edge @a i.
+    Vec2d edge(int i) const { return mEdges[static_cast<std::size_t>(i)]; }
+
+    /// Cosine and sine of the angle at @a t ∈ [0,1] of sector @a i.
+    Vec2d inside(int i, double t) const
+    {
+        const double a = (t - 0.5) * mStep, a2 = a * a;
+        double c, s;
+        if (mStep < 0.1) { // Taylor, to rounding
+            c = 1 - a2 / 2 * (1 - a2 / 12 * (1 - a2 / 30));
+            s = a * (1 - a2 / 6 * (1 - a2 / 20 * (1 - a2 / 42)));
+        } else {
+            c = std::cos(a);
+            s = std::sin(a);
+        }
+        const Vec2d& m = mMiddles[static_cast<std::size_t>(i)];
+        return {m.x * c - m.y * s, m.y * c + m.x * s};
+    }
+
+private:
+    float mFirst, mPerAngle;
+    double mStep;
+    int mCount;
+    std::vector<Vec2d> mEdges, mMiddles;
+};
+
 class LatLong final : public ImageProjection {
 public:
     LatLong(int w, int h)
         : ImageProjection(w, h)
+        , mColumns(-kPi, 2 * kPi, w)
+        , mRows(0, kPi, h)
         , mRuleU(ruleFor(2 * kPi / w))
         , mRuleV(ruleFor(kPi / h))
     {
-        for (int y = 0; y <= h; ++y) mCos.push_back(std::cos(kPi * y / h));
         // cos a − cos b as a product, which keeps its digits at the poles.
         for (int y = 0; y < h; ++y)
             mSolidAngle.push_back(
                 4 * kPi / w * std::sin(kPi * (y + 0.5) / h) * std::sin(0.5 * kPi / h));
+        for (const double angle : mSolidAngle) mDensity.push_back(1 / angle);
     }
 
     Texel texelAt(const Vec3d& d) const override
     {
-        const double u = std::atan2(d.z, d.x) / (2 * kPi) + 0.5;
-        const double v = std::atan2(std::sqrt(d.x * d.x + d.z * d.z), d.y) / kPi;
-        return {clampIndex(u * width, width), clampIndex(v * height, height)};
+        return {mColumns.find(d.x, d.z), mRows.find(d.y, std::sqrt(d.x * d.x + d.z * d.z))};
     }
 
     /// Uniform in solid angle: in φ and in cos θ, not in v.
     bool pointIn(Texel texel, double s, double t, Vec3d& d) const override
     {
-        const double phi = 2 * kPi * ((texel.x + s) / width - 0.5);
-        const double cosTheta = mCos[texel.y] + t * (mCos[texel.y + 1] - mCos[texel.y]);
+        const double top = mRows.edge(texel.y).x, bottom = mRows.edge(texel.y + 1).x;
+        const double cosTheta = top + t * (bottom - top);
         const double sinTheta = std::sqrt(std::max(0.0, (1 - cosTheta) * (1 + cosTheta)));
-        d = Vec3d(sinTheta * std::cos(phi), cosTheta, sinTheta * std::sin(phi));
+        const Vec2d phi = mColumns.inside(texel.x, s);
+        d = Vec3d(sinTheta * phi.x, cosTheta, sinTheta * phi.y);
         return true;
     }
 
     double pointDensity(Texel texel, const Vec3d&) const override
     {
-        return 1.0 / mSolidAngle[texel.y];
+        return mDensity[static_cast<std::size_t>(texel.y)];
     }
 
     double solidAngle(Texel texel) const override { return mSolidAngle[texel.y]; }
@@ -132,8 +199,9 @@ public:
     }
 
 private:
+    Sectors mColumns, mRows; // of longitudes and of angles from +Y
     Rule mRuleU, mRuleV;
-    std::vector<double> mCos, mSolidAngle; // of the rows' edges; of a texel of each row
+    std::vector<double> mSolidAngle, mDensity; // of a texel of each row, and its inverse
 };
 
 class AngularMap final : public ImageProjection {

@@ -2,7 +2,7 @@
 #pragma once
 
 /// @file packets.h
-/// Rays in structure-of-arrays batches, traced by Embree sixteen at a time or one by one.
+/// Rays in structure-of-arrays batches, traced by Embree in packets.
 
 #include "tracer_impl.h"
 
@@ -44,9 +44,11 @@ struct HitBatch {
 
 /// Closest hits of neighbouring rays, in packets of sixteen.
 void intersectCoherent(const Tracer::Impl& impl, const RayBatch& rays, HitBatch& hits);
-/// Closest hits of rays that have nothing to do with each other.
-void intersectSingle(const Tracer::Impl& impl, const RayBatch& rays, HitBatch& hits);
-/// occluded[i] = 1 where something lies between origin and origin + tfar · direction, else 0.
+/// Closest hits of rays that have little in common, in packets of eight of one octant.
+void intersectScattered(const Tracer::Impl& impl, const RayBatch& rays, HitBatch& hits);
+/// occluded[i] = 1 where something lies between origin and origin + tfar · direction, else 0; for
+/// neighbouring rays and for others.
 void occlude(const Tracer::Impl& impl, const RayBatch& rays, std::uint8_t* occluded);
+void occludeScattered(const Tracer::Impl& impl, const RayBatch& rays, std::uint8_t* occluded);
 
 } // namespace lumivdb

@@ -3,6 +3,8 @@
 
 #include "directions.h"
 
+#include <tbb/parallel_for.h>
+
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -28,7 +30,8 @@ constexpr float kShadowEnd = 1 - 0x1p-17f;
 
 float maxComponent(const Color& c) { return std::max({c.x, c.y, c.z}); }
 
-/// Cosine-distributed direction about unit @a n (Malley; frame of Duff et al., JCGT 6(1), 2017).
+/// Cosine-distributed direction about unit @a n, unit to rounding (Malley; frame of Duff et al.,
+/// JCGT 6(1), 2017).
 Vec3f cosineDirection(const Vec3f& n, float u1, float u2)
 {
     const float sign = std::copysign(1.0f, n.z);
@@ -36,9 +39,8 @@ Vec3f cosineDirection(const Vec3f& n, float u1, float u2)
     const Vec3f t(1 + sign * n.x * n.x * a, sign * b, -sign * n.x);
     const Vec3f s(b, sign + n.y * n.y * a, -n.y);
     const float r = std::sqrt(u1), phi = 2 * kPi * u2;
-    return (
-        t * (r * std::cos(phi)) + s * (r * std::sin(phi)) + n * std::sqrt(std::max(1 - u1, 1e-12f)))
-        .normalized();
+    return t * (r * std::cos(phi)) + s * (r * std::sin(phi))
+        + n * std::sqrt(std::max(1 - u1, 1e-12f));
 }
 
 /// Survival probability of a path: paths that carry much go on for certain, the others in
@@ -58,7 +60,65 @@ void pushShadow(RayBatch& rays, const Vec3f& from, const EmitterSample& s)
     }
 }
 
+EmitterSample sampleStratum(const Tracer::Impl& impl, const Vec3f& p, double t)
+{
+    return impl.emitters.sampleStratum({p}, t, [&](std::uint32_t triangle, float u, float v) {
+        return impl.emissionAt(impl.triangles[triangle], u, v);
+    });
+}
+
+void prefetchSurfaces(const Tracer::Impl& impl, const HitBatch& hits, int count)
+{
+    for (int i = 0; i < count && !impl.texels.empty(); ++i) {
+        if (hits.triangle[i] == kMiss) continue;
+        impl.prefetchAlbedo(hits.triangle[i], hits.u[i], hits.v[i]);
+    }
+}
+
+/// Balance heuristic over one uniform and one emitter direction a stratum.
+Color probeValue(const EmitterSample& s)
+{
+    return s.radiance * static_cast<float>(1 / (s.pdf + kUniformPdf));
+}
+float uniformWeight(double pdf) { return static_cast<float>(kUniformPdf / (kUniformPdf + pdf)); }
+
+/// What a ray that leaves the scene brings, and the density of drawing that way.
+Environment::Arrival background(const Tracer::Impl& impl, const Vec3f& d)
+{
+    if (!impl.scene->environment) return {Color(0.0f), 0};
+    Environment::Arrival light = impl.scene->environment->arrival(Vec3d(d));
+    light.pdf *= impl.emitters.environmentProbability();
+    return light;
+}
+
+ProbeStratum makeStratum(const Tracer::Impl& impl, const ProbeOptions& options,
+    const Vec3f& direction, std::uint64_t number)
+{
+    ProbeStratum stratum;
+    if (options.contribution == Contribution::Indirect) return stratum;
+    stratum.t = jitteredStratum(
+        options.seed ^ kEmitterStream, number, static_cast<std::uint64_t>(options.rays));
+    const EmitterSample s
+        = impl.emitters.empty() ? EmitterSample() : sampleStratum(impl, Vec3f(0), stratum.t);
+    if (s.infinite && s.pdf > 0) {
+        stratum.infinite = s.direction;
+        stratum.value = probeValue(s);
+    }
+    const Environment::Arrival light = background(impl, direction);
+    stratum.background = light.radiance * uniformWeight(light.pdf);
+    return stratum;
+}
+
 } // namespace
+
+std::vector<ProbeStratum> probeStrata(
+    const Tracer::Impl& impl, const ProbeOptions& options, const std::vector<Vec3f>& directions)
+{
+    std::vector<ProbeStratum> strata(directions.size());
+    tbb::parallel_for(std::size_t{0}, strata.size(),
+        [&](std::size_t i) { strata[i] = makeStratum(impl, options, directions[i], i); });
+    return strata;
+}
 
 InversePlane::InversePlane(const Vec3f& normal, const Vec3f& direction, float distance)
     : inverse(1 / std::max(distance, kNearest))
@@ -80,6 +140,11 @@ void PathTracer::note(const RayBatch& rays, bool shadow)
 void PathTracer::trace(const Vec3f& p, const Vec3f* directions, std::uint64_t first, int count,
     std::uint64_t key, PathBatchResult& result)
 {
+    const ProbeStratum* strata = mStrata ? mStrata->data() + first : mOwnStrata;
+    for (int i = 0; !mStrata && i < count; ++i) {
+        mOwnStrata[i]
+            = makeStratum(mImpl, mOptions, directions[i], first + static_cast<std::uint64_t>(i));
+    }
     result.traced = 0;
     result.rays.count = 0;
     for (int i = 0; i < count; ++i) {
@@ -88,15 +153,15 @@ void PathTracer::trace(const Vec3f& p, const Vec3f* directions, std::uint64_t fi
         result.emitter[i] = Color(0.0f);
         result.ex[i] = result.ey[i] = 0;
         result.ez[i] = 1;
-        result.emitterPlane[i] = InversePlane();
+        if (result.wantPlanes) result.emitterPlane[i] = InversePlane();
     }
     if (mOptions.contribution != Contribution::Indirect && !mImpl.emitters.empty()) {
-        sampleEmittersAtProbe(p, first, count, result);
+        sampleEmittersAtProbe(p, strata, count, result);
     }
     intersectCoherent(mImpl, result.rays, result.hits);
     note(result.rays, false);
     result.traced += static_cast<std::uint64_t>(count);
-    startPaths(p, first, count, key, result);
+    startPaths(p, strata, first, count, key, result);
     if (mOptions.contribution == Contribution::Direct) return;
     for (int bounce = 1; mPathCount > 0; ++bounce) {
         if (mOptions.maxBounces >= 0 && bounce > mOptions.maxBounces) break;
@@ -107,28 +172,29 @@ void PathTracer::trace(const Vec3f& p, const Vec3f* directions, std::uint64_t fi
 }
 
 void PathTracer::sampleEmittersAtProbe(
-    const Vec3f& p, std::uint64_t first, int count, PathBatchResult& result)
+    const Vec3f& p, const ProbeStratum* strata, int count, PathBatchResult& result)
 {
     mShadow.count = 0;
-    const auto total = static_cast<std::uint64_t>(mOptions.rays);
+    const auto add = [&](int i, const Vec3f& direction, const Color& value) {
+        mShadowValue[mShadow.count - 1] = value;
+        mShadowStratum[mShadow.count - 1] = i;
+        result.ex[i] = direction.x;
+        result.ey[i] = direction.y;
+        result.ez[i] = direction.z;
+    };
     for (int i = 0; i < count; ++i) {
-        const double t = jitteredStratum(
-            mOptions.seed ^ kEmitterStream, first + static_cast<std::uint64_t>(i), total);
-        const EmitterSample s
-            = mImpl.emitters.sampleStratum({p}, t, [&](std::uint32_t triangle, float u, float v) {
-                  return mImpl.emissionAt(mImpl.triangles[triangle], u, v);
-              });
+        if (strata[i].infinite != Vec3f(0)) {
+            mShadow.push(p, strata[i].infinite, kInfinity);
+            add(i, strata[i].infinite, strata[i].value);
+            continue;
+        }
+        const EmitterSample s = sampleStratum(mImpl, p, strata[i].t);
         if (!(s.pdf > 0)) continue;
-        // Balance heuristic over one uniform and one emitter direction a stratum.
-        mShadowValue[mShadow.count] = s.radiance * static_cast<float>(1 / (s.pdf + kUniformPdf));
-        mShadowStratum[mShadow.count] = i;
         pushShadow(mShadow, p, s);
-        if (!s.infinite) {
+        add(i, s.direction, probeValue(s));
+        if (result.wantPlanes && !s.infinite) {
             result.emitterPlane[i] = InversePlane(s.normal, s.direction, (s.target - p).length());
         }
-        result.ex[i] = s.direction.x;
-        result.ey[i] = s.direction.y;
-        result.ez[i] = s.direction.z;
     }
     occlude(mImpl, mShadow, mOccluded);
     note(mShadow, true);
@@ -138,21 +204,18 @@ void PathTracer::sampleEmittersAtProbe(
     }
 }
 
-void PathTracer::startPaths(
-    const Vec3f& p, std::uint64_t first, int count, std::uint64_t key, PathBatchResult& result)
+void PathTracer::startPaths(const Vec3f& p, const ProbeStratum* strata, std::uint64_t first,
+    int count, std::uint64_t key, PathBatchResult& result)
 {
     const bool direct = mOptions.contribution != Contribution::Indirect;
-    const auto weight
-        = [](double pdf) { return static_cast<float>(kUniformPdf / (kUniformPdf + pdf)); };
+    prefetchSurfaces(mImpl, result.hits, count);
     mPathCount = 0;
     for (int i = 0; i < count; ++i) {
         const Vec3f d = result.rays.direction(i);
         result.backFace[i] = false;
-        result.plane[i] = InversePlane();
+        if (result.wantPlanes) result.plane[i] = InversePlane();
         if (result.hits.triangle[i] == kMiss) {
-            if (!direct || !mImpl.scene->environment) continue;
-            result.uniform[i] = mImpl.scene->environment->radiance(Vec3d(d))
-                * weight(mImpl.emitters.pdfEnvironment(d));
+            result.uniform[i] = strata[i].background;
             continue;
         }
         Path& path = mPaths[mPathCount];
@@ -160,11 +223,11 @@ void PathTracer::startPaths(
             p, d, result.hits.triangle[i], result.hits.t[i], result.hits.u[i], result.hits.v[i]);
         const SurfacePoint& s = path.surface;
         result.backFace[i] = s.backFace;
-        result.plane[i] = InversePlane(s.normal, d, result.hits.t[i]);
+        if (result.wantPlanes) result.plane[i] = InversePlane(s.normal, d, result.hits.t[i]);
         if (direct && s.emitter >= 0) {
             const double pdf = mImpl.emitters.pdfTriangle(
                 {p}, s.emitter, result.hits.t[i], std::abs(s.normal.dot(d)));
-            result.uniform[i] = s.emission * weight(pdf);
+            result.uniform[i] = s.emission * uniformWeight(pdf);
         }
         if (maxComponent(s.albedo) <= 0) continue;
         path.throughput = Color(1.0f);
@@ -176,7 +239,7 @@ void PathTracer::startPaths(
 
 void PathTracer::addUnoccluded(PathBatchResult& result)
 {
-    occlude(mImpl, mShadow, mOccluded);
+    occludeScattered(mImpl, mShadow, mOccluded);
     note(mShadow, true);
     result.traced += static_cast<std::uint64_t>(mShadow.count);
     for (int j = 0; j < mShadow.count; ++j) {
@@ -188,22 +251,32 @@ void PathTracer::reflectFromEmitters(PathBatchResult& result)
 {
     if (mImpl.emitters.empty()) return;
     mShadow.count = 0;
+    double t[kBatch], u[kBatch], v[kBatch];
     for (int j = 0; j < mPathCount; ++j) {
-        Path& path = mPaths[j];
+        CounterRng& rng = mPaths[j].rng;
+        t[j] = rng.nextDouble();
+        u[j] = rng.nextDouble();
+        v[j] = rng.nextDouble();
+        mImpl.emitters.prefetch(t[j]);
+    }
+    std::int64_t texel[kBatch]; // of the environment
+    for (int j = 0; j < mPathCount; ++j) texel[j] = mImpl.emitters.environmentTexel(t[j]);
+    for (int j = 0; j < mPathCount; ++j) {
+        const Path& path = mPaths[j];
         const SurfacePoint& s = path.surface;
         const Vec3f from = s.leaving();
-        const double t = path.rng.nextDouble(), u = path.rng.nextDouble(),
-                     v = path.rng.nextDouble();
-        const EmitterSample e = mImpl.emitters.sample(
-            s.receiver(), t, u, v, [&](std::uint32_t triangle, float tu, float tv) {
-                return mImpl.emissionAt(mImpl.triangles[triangle], tu, tv);
-            });
+        const EmitterSample e = texel[j] >= 0
+            ? mImpl.emitters.sampleEnvironmentTexel(texel[j], u[j], v[j])
+            : mImpl.emitters.sample(
+                s.receiver(), t[j], u[j], v[j], [&](std::uint32_t triangle, float tu, float tv) {
+                    return mImpl.emissionAt(mImpl.triangles[triangle], tu, tv);
+                });
         const float cosine = s.normal.dot(e.direction);
         if (!(e.pdf > 0) || !(cosine > 0)) continue;
-        // f cos / (p_emitter + p_cosine): balance heuristic against the cosine sample of scatter().
-        const double density = e.pdf + cosine / kPi;
-        mShadowValue[mShadow.count]
-            = path.throughput * s.albedo * e.radiance * static_cast<float>(cosine / kPi / density);
+        // f cos / (p_emitter + p_cosine): balance heuristic against the cosine sample of scatter(),
+        // whose density is cos / π.
+        mShadowValue[mShadow.count] = path.throughput * s.albedo * e.radiance
+            * static_cast<float>(cosine / (e.pdf * kPi + cosine));
         mShadowStratum[mShadow.count] = path.stratum;
         pushShadow(mShadow, from, e);
     }
@@ -239,32 +312,32 @@ void PathTracer::scatter(int bounce, PathBatchResult& result)
     int alive = 0;
     mNext.count = 0;
     for (int j = 0; j < mPathCount; ++j) {
-        Path path = mPaths[j];
+        Path& path = mPaths[j];
         path.throughput *= path.surface.albedo;
         const float q = survival(path.throughput, bounce);
         if (!(path.rng.next() < q)) continue;
         path.throughput /= q;
         const float u1 = path.rng.next(), u2 = path.rng.next();
         mNext.push(path.surface.leaving(), cosineDirection(path.surface.normal, u1, u2), kInfinity);
-        mPaths[alive++] = path;
+        if (alive != j) mPaths[alive] = path;
+        ++alive;
     }
-    intersectSingle(mImpl, mNext, mNextHits);
+    intersectScattered(mImpl, mNext, mNextHits);
     note(mNext, false);
     result.traced += static_cast<std::uint64_t>(mNext.count);
 
+    prefetchSurfaces(mImpl, mNextHits, alive);
     mPathCount = 0;
     for (int j = 0; j < alive; ++j) {
-        Path path = mPaths[j];
+        Path& path = mPaths[j];
         const Vec3f d = mNext.direction(j);
         const double cosinePdf = std::max(0.0f, path.surface.normal.dot(d)) / kPi;
         const auto weight
             = [&](double pdf) { return static_cast<float>(cosinePdf / (cosinePdf + pdf)); };
         if (!(cosinePdf > 0)) continue;
         if (mNextHits.triangle[j] == kMiss) {
-            if (!mImpl.scene->environment) continue;
-            result.uniform[path.stratum] += path.throughput
-                * mImpl.scene->environment->radiance(Vec3d(d))
-                * weight(mImpl.emitters.pdfEnvironment(d));
+            const Environment::Arrival light = background(mImpl, d);
+            result.uniform[path.stratum] += path.throughput * light.radiance * weight(light.pdf);
             continue;
         }
         const SurfacePoint s = mImpl.surfaceSeen(path.surface.leaving(), d, mNextHits.triangle[j],
@@ -275,8 +348,11 @@ void PathTracer::scatter(int bounce, PathBatchResult& result)
             result.uniform[path.stratum] += path.throughput * s.emission * weight(pdf);
         }
         if (maxComponent(s.albedo) <= 0) continue;
-        path.surface = s;
-        mPaths[mPathCount++] = path;
+        Path& next = mPaths[mPathCount++];
+        next.surface = s;
+        next.throughput = path.throughput;
+        next.stratum = path.stratum;
+        next.rng = path.rng;
     }
 }
 

@@ -36,6 +36,7 @@ struct PathBatchResult {
     Color emitter[kBatch];
     /// The planes of the surfaces met by rays[i] and of the emitters drawn, for derivatives.
     InversePlane plane[kBatch], emitterPlane[kBatch];
+    bool wantPlanes = true; ///< set before: false leaves them as they are
     bool backFace[kBatch];
     std::uint64_t traced = 0; ///< rays, shadow rays included
 };
@@ -47,11 +48,26 @@ struct RecordedRay {
     bool shadow;
 };
 
+/// What a stratum of the probe's directions has in common at all points.
+struct ProbeStratum {
+    double t = 0; ///< what its emitter sample is drawn from
+    Vec3f infinite{0, 0, 0}; ///< direction, if that is of the environment, else 0
+    Color value{0, 0, 0}; ///< its radiance, weighted, over the density
+    Color background{0, 0, 0}; ///< what a ray that meets nothing brings, weighted
+};
+
+/// Of all strata, in the order of @a directions.
+std::vector<ProbeStratum> probeStrata(
+    const Tracer::Impl& impl, const ProbeOptions& options, const std::vector<Vec3f>& directions);
+
 class PathTracer {
 public:
-    PathTracer(const Tracer::Impl& impl, const ProbeOptions& options)
+    /// @a strata: probeStrata(), if trace() shall not find them again each time.
+    PathTracer(const Tracer::Impl& impl, const ProbeOptions& options,
+        const std::vector<ProbeStratum>* strata = nullptr)
         : mImpl(impl)
         , mOptions(options)
+        , mStrata(strata)
     {
     }
 
@@ -74,9 +90,9 @@ private:
         CounterRng rng{0};
     };
     void sampleEmittersAtProbe(
-        const Vec3f& p, std::uint64_t first, int count, PathBatchResult& result);
-    void startPaths(
-        const Vec3f& p, std::uint64_t first, int count, std::uint64_t key, PathBatchResult& result);
+        const Vec3f& p, const ProbeStratum* strata, int count, PathBatchResult& result);
+    void startPaths(const Vec3f& p, const ProbeStratum* strata, std::uint64_t first, int count,
+        std::uint64_t key, PathBatchResult& result);
     void reflectFromEmitters(PathBatchResult& result);
     void reflectFromPunctual(PathBatchResult& result);
     void scatter(int bounce, PathBatchResult& result);
@@ -86,8 +102,10 @@ private:
 
     const Tracer::Impl& mImpl;
     const ProbeOptions& mOptions;
+    const std::vector<ProbeStratum>* mStrata;
     std::vector<RecordedRay>* mRecorder = nullptr;
 
+    ProbeStratum mOwnStrata[kBatch];
     Path mPaths[kBatch];
     int mPathCount = 0;
     RayBatch mShadow;

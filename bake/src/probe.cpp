@@ -80,8 +80,9 @@ struct CosineFunctions {
 
 /// Scratch of one thread. Big: lives on the heap.
 struct Scratch {
-    explicit Scratch(const Tracer::Impl& impl, const ProbeOptions& options)
-        : paths(impl, options)
+    Scratch(const Tracer::Impl& impl, const ProbeOptions& options,
+        const std::vector<ProbeStratum>& strata)
+        : paths(impl, options, &strata)
     {
     }
     PathTracer paths;
@@ -155,8 +156,7 @@ template <class Basis> void accumulate(const Basis& basis, int n, bool firstOfCh
     w.sums.strata += static_cast<std::uint64_t>(n);
     w.sums.differences += static_cast<std::uint64_t>(firstOfChunk ? n - 1 : n);
     w.sums.traced += b.traced;
-    for (int i = 0; i < n; ++i) {
-        if (b.hits.triangle[i] == kMiss) continue;
+    for (int i = 0; i < n; ++i) { // what met nothing is infinitely far away
         w.sums.backFaces += b.backFace[i] ? 1 : 0;
         w.sums.inverseDistance += 1.0 / std::max(b.hits.t[i], 1e-30f);
         w.sums.minDistance = std::min(w.sums.minDistance, b.hits.t[i]);
@@ -168,6 +168,7 @@ struct Shot {
     const Tracer::Impl& impl;
     const ProbeOptions& options;
     const std::vector<Vec3f>& directions;
+    const std::vector<ProbeStratum>& strata;
     Vec3f p;
     std::uint64_t key;
 };
@@ -179,6 +180,7 @@ void traceChunk(const Shot& shot, const Basis& basis, std::size_t first,
     const std::size_t last = std::min(shot.directions.size(), first + kChunk);
     w.sums.reset(static_cast<std::size_t>(basis.count()));
     w.previous.assign(w.sums.sum.size(), 0.0f);
+    w.batch.wantPlanes = gradient != nullptr;
     for (std::size_t i = first; i < last; i += kBatch) {
         const int n = static_cast<int>(std::min<std::size_t>(kBatch, last - i));
         w.paths.trace(shot.p, shot.directions.data() + i, i, n, shot.key, w.batch);
@@ -212,7 +214,7 @@ Sums traceChunks(const Shot& shot, const Basis& basis, Scratch& own, GradientScr
         } else {
             tbb::parallel_for(std::size_t{0}, count, [&](std::size_t c) {
                 auto& local = scratch.local();
-                if (!local) local = std::make_unique<Scratch>(shot.impl, shot.options);
+                if (!local) local = std::make_unique<Scratch>(shot.impl, shot.options, shot.strata);
                 trace(c, *local);
             });
         }
@@ -304,8 +306,9 @@ struct ProbeEstimator::Workspace::Impl {
     std::unique_ptr<GradientScratch> gradient;
 };
 
-/// Made when the first gradient is asked for, by whichever thread asks.
+/// What all points share. Gradients' tables are made by whichever thread asks first.
 struct ProbeEstimator::Tables {
+    std::vector<ProbeStratum> strata;
     std::once_flag once;
     std::unique_ptr<const GradientTables> gradient;
 };
@@ -323,6 +326,7 @@ ProbeEstimator::ProbeEstimator(const Tracer& tracer, const ProbeOptions& options
     options.validate();
     mDirections = stratifiedDirections(options.seed, options.rays);
     mTables = std::make_shared<Tables>();
+    mTables->strata = probeStrata(tracer.impl(), options, mDirections);
 }
 
 ProbeEstimator::~ProbeEstimator() = default;
@@ -333,7 +337,7 @@ ProbeResult ProbeEstimator::estimate(const Vec3d& world, const Basis& basis, std
 {
     const Tracer::Impl& impl = mTracer.impl();
     Workspace::Impl& own = *workspace.mImpl;
-    if (!own.scratch) own.scratch = std::make_unique<Scratch>(impl, mOptions);
+    if (!own.scratch) own.scratch = std::make_unique<Scratch>(impl, mOptions, mTables->strata);
     std::unique_ptr<GradientScratch> several;
     GradientScratch* gradient = nullptr;
     if (gradientBands > 0) {
@@ -347,7 +351,7 @@ ProbeResult ProbeEstimator::estimate(const Vec3d& world, const Basis& basis, std
         gradient->sums.reset(*gradient->tables, gradientBands);
     }
 
-    const Shot shot{impl, mOptions, mDirections, impl.toLocal(world), key};
+    const Shot shot{impl, mOptions, mDirections, mTables->strata, impl.toLocal(world), key};
     Sums total = traceChunks(shot, basis, *own.scratch, gradient);
     for (double& s : total.sum) s /= static_cast<double>(mDirections.size());
     if (mOptions.contribution != Contribution::Indirect) {

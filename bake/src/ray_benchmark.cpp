@@ -5,9 +5,15 @@
 
 #include "directions.h"
 #include "path.h"
+#include "threads.h"
+
+#include <tbb/enumerable_thread_specific.h>
+#include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
+#include <ctime>
 #include <limits>
 #include <memory>
 
@@ -15,23 +21,19 @@ namespace lumivdb {
 
 namespace {
 
-template <class Work> double secondsOf(const Work& work)
-{
-    const auto start = std::chrono::steady_clock::now();
-    work();
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
+using Rays = std::vector<RecordedRay>;
 
-std::vector<RecordedRay> recordRays(
+/// What each point's probe traces.
+std::vector<Rays> recordRays(
     const Tracer::Impl& impl, const ProbeOptions& options, const std::vector<Vec3d>& points)
 {
     const std::vector<Vec3f> directions = stratifiedDirections(options.seed, options.rays);
     auto paths = std::make_unique<PathTracer>(impl, options);
     auto batch = std::make_unique<PathBatchResult>();
-    std::vector<RecordedRay> rays;
-    paths->record(&rays);
+    std::vector<Rays> rays(points.size());
     for (std::size_t p = 0; p < points.size(); ++p) {
         const std::uint64_t key = hashPoint(options.seed, static_cast<int>(p), 0, 0);
+        paths->record(&rays[p]);
         for (std::size_t i = 0; i < directions.size(); i += kBatch) {
             const auto n = static_cast<int>(std::min<std::size_t>(kBatch, directions.size() - i));
             paths->trace(impl.toLocal(points[p]), directions.data() + i, i, n, key, *batch);
@@ -41,7 +43,7 @@ std::vector<RecordedRay> recordRays(
 }
 
 /// Returns the number of hits, so that no compiler can drop the loop.
-std::uint64_t traceBare(const Tracer::Impl& impl, const std::vector<RecordedRay>& rays, bool mixed)
+std::uint64_t traceBare(const Tracer::Impl& impl, const Rays& rays, bool mixed)
 {
     RTCIntersectContext context;
     rtcInitIntersectContext(&context);
@@ -63,38 +65,84 @@ std::uint64_t traceBare(const Tracer::Impl& impl, const std::vector<RecordedRay>
     return hits;
 }
 
+class Benchmark {
+public:
+    Benchmark(const Tracer& tracer, const ProbeOptions& options, int bands,
+        const std::vector<Vec3d>& points)
+        : mImpl(tracer.impl())
+        , mEstimator(tracer, options)
+        , mBands(bands)
+        , mSeed(options.seed)
+        , mPoints(points)
+        , mRays(recordRays(mImpl, options, points))
+        , mResults(points.size())
+    {
+    }
+
+    const std::vector<Rays>& rays() const { return mRays; }
+    const std::vector<ProbeResult>& results() const { return mResults; }
+
+    /// Lowers what takes less time now.
+    void run(int threads, RayBenchmark::Times& best)
+    {
+        const auto time = [&](RayBenchmark::Time& least, const auto& work) {
+            const auto start = std::chrono::steady_clock::now();
+            const std::clock_t startClock = std::clock();
+            withThreads(threads, [&] { tbb::parallel_for(std::size_t{0}, mPoints.size(), work); });
+            const std::clock_t ticks = std::clock() - startClock;
+            const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - start;
+            least.wall = std::min(least.wall, taken.count());
+            least.processor
+                = std::min(least.processor, static_cast<double>(ticks) / CLOCKS_PER_SEC);
+        };
+        time(best.probe, [&](std::size_t p) {
+            mResults[p] = mEstimator.radianceSh(mPoints[p], mBands,
+                hashPoint(mSeed, static_cast<int>(p), 0, 0), mWorkspaces.local());
+        });
+        time(best.intersect1, [&](std::size_t p) { mHits += traceBare(mImpl, mRays[p], false); });
+        time(best.mixed, [&](std::size_t p) { mHits += traceBare(mImpl, mRays[p], true); });
+    }
+
+private:
+    const Tracer::Impl& mImpl;
+    const ProbeEstimator mEstimator;
+    const int mBands;
+    const std::uint64_t mSeed;
+    const std::vector<Vec3d>& mPoints;
+    const std::vector<Rays> mRays;
+    std::vector<ProbeResult> mResults;
+    tbb::enumerable_thread_specific<ProbeEstimator::Workspace> mWorkspaces;
+    std::atomic<std::uint64_t> mHits{0};
+};
+
 } // namespace
 
 RayBenchmark benchmarkRays(const Tracer& tracer, const ProbeOptions& options, int bands,
-    const std::vector<Vec3d>& points, int repeats)
+    const std::vector<Vec3d>& points, int repeats, int threads)
 {
-    const Tracer::Impl& impl = tracer.impl();
-    const ProbeEstimator estimator(tracer, options);
-    const std::vector<RecordedRay> rays = recordRays(impl, options, points);
+    Benchmark benchmark(tracer, options, bands, points);
     RayBenchmark b;
-    b.rays = rays.size();
-    b.shadowShare = static_cast<double>(std::count_if(
-                        rays.begin(), rays.end(), [](const RecordedRay& r) { return r.shadow; }))
-        / std::max<double>(1.0, static_cast<double>(rays.size()));
-    b.probeSeconds = b.intersect1Seconds = b.mixedSeconds = std::numeric_limits<double>::infinity();
-    ProbeEstimator::Workspace workspace;
-    volatile std::uint64_t sink = 0;
-    for (int r = 0; r < repeats; ++r) {
-        double error = 0, mean = 0;
-        b.probeSeconds = std::min(b.probeSeconds, secondsOf([&] {
-            for (std::size_t p = 0; p < points.size(); ++p) {
-                const ProbeResult result = estimator.radianceSh(points[p], bands,
-                    hashPoint(options.seed, static_cast<int>(p), 0, 0), workspace);
-                error += luminance(result.stderr_[0]);
-                mean += luminance(result.value[0]);
-            }
-        }));
-        b.relativeStderr = mean > 0 ? error / mean : 0;
-        b.intersect1Seconds = std::min(
-            b.intersect1Seconds, secondsOf([&] { sink = sink + traceBare(impl, rays, false); }));
-        b.mixedSeconds = std::min(
-            b.mixedSeconds, secondsOf([&] { sink = sink + traceBare(impl, rays, true); }));
+    std::uint64_t shadow = 0;
+    for (const Rays& rays : benchmark.rays()) {
+        b.rays += rays.size();
+        shadow += static_cast<std::uint64_t>(
+            std::count_if(rays.begin(), rays.end(), [](const RecordedRay& r) { return r.shadow; }));
     }
+    b.paths = points.size() * static_cast<std::uint64_t>(options.rays);
+    b.shadowShare = static_cast<double>(shadow) / std::max<double>(1, static_cast<double>(b.rays));
+    constexpr double kNever = std::numeric_limits<double>::infinity();
+    constexpr RayBenchmark::Time kLongest{kNever, kNever};
+    b.one = b.several = {kLongest, kLongest, kLongest};
+    for (int r = 0; r < repeats; ++r) {
+        benchmark.run(1, b.one);
+        benchmark.run(threads, b.several);
+    }
+    double error = 0, mean = 0;
+    for (const ProbeResult& result : benchmark.results()) {
+        error += luminance(result.stderr_[0]);
+        mean += luminance(result.value[0]);
+    }
+    b.relativeStderr = mean > 0 ? error / mean : 0;
     return b;
 }
 

@@ -6,7 +6,10 @@
 #include <OpenImageIO/filesystem.h>
 #include <OpenImageIO/imageio.h>
 
+#include <tbb/parallel_for.h>
+
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <cstdint>
 #include <cstring>
@@ -26,13 +29,21 @@ struct Tap {
     float weight;
 };
 
+/// std::floor without a call into a library.
+float floorOf(float x)
+{
+    if (!(std::abs(x) < 0x1p22f)) return std::floor(x);
+    const auto whole = static_cast<float>(static_cast<int>(x));
+    return whole > x ? whole - 1 : whole;
+}
+
 /// Brings u into [0, 1], which keeps texel numbers small whatever the file says.
 float foldCoordinate(float u, WrapMode mode)
 {
     if (!std::isfinite(u)) return 0.0f;
     if (mode == WrapMode::ClampToEdge) return std::clamp(u, 0.0f, 1.0f);
-    if (mode == WrapMode::Repeat) return u - std::floor(u);
-    const float period = u - 2.0f * std::floor(u * 0.5f);
+    if (mode == WrapMode::Repeat) return u - floorOf(u);
+    const float period = u - 2.0f * floorOf(u * 0.5f);
     return period > 1.0f ? 2.0f - period : period;
 }
 
@@ -48,14 +59,14 @@ int wrapTexel(int i, int n, WrapMode mode)
 Tap linearTap(float u, int n, WrapMode mode)
 {
     const float x = foldCoordinate(u, mode) * static_cast<float>(n) - 0.5f;
-    const float base = std::floor(x);
+    const float base = floorOf(x);
     const int i = static_cast<int>(base);
     return {wrapTexel(i, n, mode), wrapTexel(i + 1, n, mode), x - base};
 }
 
 int nearestTexel(float u, int n, WrapMode mode)
 {
-    const int i = static_cast<int>(std::floor(foldCoordinate(u, mode) * static_cast<float>(n)));
+    const int i = static_cast<int>(floorOf(foldCoordinate(u, mode) * static_cast<float>(n)));
     return std::clamp(i, 0, n - 1);
 }
 
@@ -248,29 +259,117 @@ TextureDecode decodeTextureFile(const std::string& path, Texture& texture)
     }
 }
 
+namespace {
+
+/// What the codes of a channel of eight bits stand for, increasing from 0 to 1.
+class CodeTable {
+public:
+    template <class Value> explicit CodeTable(const Value& value)
+    {
+        for (std::size_t i = 0; i < 256; ++i) mValues[i] = value(static_cast<float>(i));
+        for (std::size_t i = 0, code = 0; i < kSteps; ++i) {
+            while (code < 255 && mValues[code + 1] * kSteps <= static_cast<float>(i)) ++code;
+            mFirst[i] = static_cast<std::uint8_t>(code);
+        }
+    }
+    float operator[](std::uint32_t code) const { return mValues[code & 255]; }
+    /// The code of exactly @a value, or −1.
+    int find(float value) const
+    {
+        if (!(value >= 0 && value <= 1)) return -1;
+        int code = mFirst[std::min(static_cast<std::size_t>(value * kSteps), kSteps - 1)];
+        while (mValues[static_cast<std::size_t>(code)] < value) ++code;
+        return mValues[static_cast<std::size_t>(code)] == value ? code : -1;
+    }
+
+private:
+    static constexpr std::size_t kSteps = 4096;
+    std::array<float, 256> mValues;
+    std::array<std::uint8_t, kSteps> mFirst; ///< code to search from, by the value
+};
+
+const CodeTable kColourCodes([](float i) { return decodeSrgb(i / 255.0f); });
+const CodeTable kAlphaCodes([](float i) { return i * (1.0f / 255.0f); }); // as OpenImageIO does
+
+/// Four codes, or false where one of the values has none.
+bool encode(const float* rgba, std::uint32_t& codes)
+{
+    codes = 0;
+    for (int c = 0; c < 4; ++c) {
+        const int code = (c < 3 ? kColourCodes : kAlphaCodes).find(rgba[c]);
+        if (code < 0) return false;
+        codes |= static_cast<std::uint32_t>(code) << (8 * c);
+    }
+    return true;
+}
+
+std::array<float, 4> decode(std::uint32_t codes)
+{
+    return {kColourCodes[codes], kColourCodes[codes >> 8], kColourCodes[codes >> 16],
+        kAlphaCodes[codes >> 24]};
+}
+
+/// What a texture gives at (u, v), from what @a texel(x, y) gives.
+template <class Texel>
+std::array<float, 4> filter(const Texture& t, float u, float v, const Texel& texel)
+{
+    if (t.nearest) {
+        return texel(nearestTexel(u, t.width, t.wrapU), nearestTexel(v, t.height, t.wrapV));
+    }
+    const Tap x = linearTap(u, t.width, t.wrapU);
+    const Tap y = linearTap(v, t.height, t.wrapV);
+    const std::array<float, 4> t00 = texel(x.first, y.first), t10 = texel(x.second, y.first),
+                               t01 = texel(x.first, y.second), t11 = texel(x.second, y.second);
+    std::array<float, 4> result;
+    for (std::size_t c = 0; c < 4; ++c) {
+        const float top = t00[c] + (t10[c] - t00[c]) * x.weight;
+        const float bottom = t01[c] + (t11[c] - t01[c]) * x.weight;
+        result[c] = top + (bottom - top) * y.weight;
+    }
+    return result;
+}
+
+} // namespace
+
 std::array<float, 4> Texture::sample(float u, float v) const
 {
     if (width < 1 || height < 1) return {1, 1, 1, 1};
-    const auto texel
-        = [&](int x, int y) { return &pixels[(static_cast<std::size_t>(y) * width + x) * 4]; };
-    std::array<float, 4> result;
-    if (nearest) {
-        const float* t = texel(nearestTexel(u, width, wrapU), nearestTexel(v, height, wrapV));
-        std::copy(t, t + 4, result.begin());
-        return result;
-    }
-    const Tap x = linearTap(u, width, wrapU);
-    const Tap y = linearTap(v, height, wrapV);
-    const float* t00 = texel(x.first, y.first);
-    const float* t10 = texel(x.second, y.first);
-    const float* t01 = texel(x.first, y.second);
-    const float* t11 = texel(x.second, y.second);
-    for (int c = 0; c < 4; ++c) {
-        const float top = t00[c] + (t10[c] - t00[c]) * x.weight;
-        const float bottom = t01[c] + (t11[c] - t01[c]) * x.weight;
-        result[static_cast<std::size_t>(c)] = top + (bottom - top) * y.weight;
-    }
-    return result;
+    return filter(*this, u, v, [&](int x, int y) {
+        const float* p = &pixels[(static_cast<std::size_t>(y) * width + x) * 4];
+        return std::array<float, 4>{p[0], p[1], p[2], p[3]};
+    });
+}
+
+Texels::Texels(const Texture& texture)
+    : mTexture(&texture)
+    , mTilesAcross((static_cast<std::size_t>(texture.width) + 3) / 4)
+{
+    const int w = texture.width, h = texture.height;
+    if (w < 1 || h < 1) return;
+    const auto tilesDown = (static_cast<std::size_t>(h) + 3) / 4;
+    mCodes.resize(mTilesAcross * tilesDown * 16);
+    std::atomic<bool> exact{true};
+    tbb::parallel_for(0, h, [&](int y) {
+        const float* row = &texture.pixels[static_cast<std::size_t>(y) * w * 4];
+        for (int x = 0; x < w && exact; ++x) {
+            if (!encode(row + 4 * x, mCodes[place(x, y)])) exact = false;
+        }
+    });
+    if (!exact) mCodes = {};
+}
+
+void Texels::prefetch(float u, float v) const
+{
+    if (mCodes.empty()) return;
+    const int x = nearestTexel(u, mTexture->width, mTexture->wrapU);
+    const int y = nearestTexel(v, mTexture->height, mTexture->wrapV);
+    __builtin_prefetch(&mCodes[place(x, y)]);
+}
+
+std::array<float, 4> Texels::sample(float u, float v) const
+{
+    if (mCodes.empty()) return mTexture->sample(u, v);
+    return filter(*mTexture, u, v, [&](int x, int y) { return decode(mCodes[place(x, y)]); });
 }
 
 } // namespace lumivdb

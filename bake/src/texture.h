@@ -2,12 +2,15 @@
 #pragma once
 
 /// @file texture.h
-/// Decoding of colour images into Texture (internal to bake).
+/// Decoding of colour images into Texture, and textures as rays read them (internal to bake).
 
 #include <lumivdb/bake/scene.h>
 
+#include <array>
 #include <cstddef>
+#include <cstdint>
 #include <string>
+#include <vector>
 
 namespace lumivdb {
 
@@ -23,6 +26,31 @@ TextureDecode decodeTexture(const unsigned char* bytes, std::size_t size, Textur
 
 /// Decodes an image file; @a path is UTF-8.
 TextureDecode decodeTextureFile(const std::string& path, Texture& texture);
+
+/// A texture as rays read it, in no order: what came from eight bits a channel is eight bits again,
+/// in tiles of 4 × 4 that fill a line of the cache. Gives the very values of Texture::sample().
+class Texels {
+public:
+    /// @a texture must outlive this.
+    explicit Texels(const Texture& texture);
+    std::array<float, 4> sample(float u, float v) const;
+    /// Asks memory for most of what sample() will read.
+    void prefetch(float u, float v) const;
+    /// Whether the texture had eight bits a channel.
+    bool packed() const { return !mCodes.empty(); }
+
+private:
+    std::size_t place(int x, int y) const
+    {
+        const auto tile
+            = static_cast<std::size_t>(y >> 2) * mTilesAcross + static_cast<std::size_t>(x >> 2);
+        return tile * 16 + static_cast<std::size_t>((y & 3) << 2 | (x & 3));
+    }
+
+    const Texture* mTexture;
+    std::size_t mTilesAcross = 0;
+    std::vector<std::uint32_t> mCodes; // of the texels; empty: the texture's own are read
+};
 
 /// IEC 61966-2-1: encoded value in [0, 1] to linear.
 float decodeSrgb(float encoded);

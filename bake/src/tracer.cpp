@@ -33,16 +33,25 @@ T interpolate(const std::vector<T>& values, const std::array<std::uint32_t, 3>& 
     return values[t[0]] * (1 - u - v) + values[t[1]] * u + values[t[2]] * v;
 }
 
-std::array<float, 4> sampleSlot(const Scene& scene, const TextureSlot& slot, const Mesh& mesh,
-    std::uint32_t triangle, float u, float v)
+/// Coordinates in the texture of @a slot; false where there is none.
+bool placeInSlot(const TextureSlot& slot, const Mesh& mesh, std::uint32_t triangle, float u,
+    float v, Vec2f& place)
 {
-    if (slot.texture < 0) return {1, 1, 1, 1};
+    if (slot.texture < 0) return false;
     const std::vector<Vec2f>& uv = mesh.uv[slot.uvSet == 1 ? 1 : 0];
-    if (uv.empty()) return {1, 1, 1, 1};
+    if (uv.empty()) return false;
     const Vec2f st = interpolate(uv, mesh.triangles[triangle], u, v);
     const auto& m = slot.transform;
-    return scene.textures[static_cast<std::size_t>(slot.texture)].sample(
-        m[0] * st.x + m[1] * st.y + m[2], m[3] * st.x + m[4] * st.y + m[5]);
+    place = {m[0] * st.x + m[1] * st.y + m[2], m[3] * st.x + m[4] * st.y + m[5]};
+    return true;
+}
+
+std::array<float, 4> sampleSlot(const Tracer::Impl& impl, const TextureSlot& slot, const Mesh& mesh,
+    std::uint32_t triangle, float u, float v)
+{
+    Vec2f place;
+    if (!placeInSlot(slot, mesh, triangle, u, v, place)) return {1, 1, 1, 1};
+    return impl.texels[static_cast<std::size_t>(slot.texture)].sample(place.x, place.y);
 }
 
 /// Rejects hits on masked texels whose alpha is below the cut-off.
@@ -227,7 +236,7 @@ Color Tracer::Impl::albedoAt(const Triangle& t, float u, float v, float* alpha) 
 {
     const Mesh& mesh = scene->meshes[t.mesh];
     const Material& material = materialOf(t);
-    const auto texel = sampleSlot(*scene, material.baseColorTexture, mesh, t.index, u, v);
+    const auto texel = sampleSlot(*this, material.baseColorTexture, mesh, t.index, u, v);
     Color albedo(material.baseColor.x * texel[0], material.baseColor.y * texel[1],
         material.baseColor.z * texel[2]);
     float a = material.alphaFactor * texel[3];
@@ -246,6 +255,15 @@ Color Tracer::Impl::albedoAt(const Triangle& t, float u, float v, float* alpha) 
     return albedo;
 }
 
+void Tracer::Impl::prefetchAlbedo(std::uint32_t triangle, float u, float v) const
+{
+    const Triangle& t = triangles[triangle];
+    const TextureSlot& slot = materialOf(t).baseColorTexture;
+    Vec2f place;
+    if (!placeInSlot(slot, scene->meshes[t.mesh], t.index, u, v, place)) return;
+    texels[static_cast<std::size_t>(slot.texture)].prefetch(place.x, place.y);
+}
+
 Color Tracer::Impl::emissionAt(const Triangle& t, float u, float v) const
 {
     const Material& material = materialOf(t);
@@ -256,7 +274,7 @@ Color Tracer::Impl::emissionAt(const Triangle& t, float u, float v) const
         if (alpha < material.alphaCutoff) return Color(0.0f);
     }
     const auto texel
-        = sampleSlot(*scene, material.emissionTexture, scene->meshes[t.mesh], t.index, u, v);
+        = sampleSlot(*this, material.emissionTexture, scene->meshes[t.mesh], t.index, u, v);
     return {material.emission.x * texel[0], material.emission.y * texel[1],
         material.emission.z * texel[2]};
 }
@@ -333,6 +351,9 @@ Tracer::Tracer(std::shared_ptr<const Scene> scene, Progress* progress)
     const auto start = std::chrono::steady_clock::now();
     if (progress) progress->begin("build the ray structure", 1);
     mImpl->scene = std::move(scene);
+    const std::vector<Texture>& textures = mImpl->scene->textures;
+    mImpl->texels.reserve(textures.size());
+    for (const Texture& texture : textures) mImpl->texels.emplace_back(texture);
     Builder(*mImpl).run();
     if (progress) progress->advance(1);
     mImpl->buildSeconds

@@ -8,6 +8,7 @@
 #include <lumivdb/bake/tracer.h>
 
 #include "emitters.h"
+#include "texture.h"
 
 #include <embree3/rtcore.h>
 
@@ -50,6 +51,7 @@ struct Tracer::Impl {
     std::uint32_t opaqueCount = 0;
     EmitterTable emitters;
     PunctualTable punctual;
+    std::vector<Texels> texels; ///< of scene->textures
 
     Impl() = default;
     Impl(const Impl&) = delete;
@@ -67,6 +69,8 @@ struct Tracer::Impl {
     }
     /// Albedo and alpha at barycentrics (u, v), sides not considered.
     Color albedoAt(const Triangle& t, float u, float v, float* alpha) const;
+    /// Asks memory for what albedoAt() will read.
+    void prefetchAlbedo(std::uint32_t triangle, float u, float v) const;
     /// Emission of the front at barycentrics (u, v).
     Color emissionAt(const Triangle& t, float u, float v) const;
     /// What a ray met at triangle (u, v), @a t along it. Where that is the back of a single-sided

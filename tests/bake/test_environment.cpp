@@ -11,6 +11,7 @@
 #include <cmath>
 #include <functional>
 #include <limits>
+#include <map>
 
 using namespace lumivdb;
 
@@ -356,6 +357,41 @@ TEST_CASE("the density integrates to one", "[environment]")
     }
 }
 
+TEST_CASE("independent draws find texels as often as the density says", "[environment]")
+{
+    for (const Map& map : maps(8)) {
+        const auto env = noise(map, 7);
+        // Expected and found, by the texel's colour.
+        std::map<float, std::pair<double, int>> texels;
+        const int sub = 16, draws = 400000;
+        for (int y = 0; y < map.height * sub; ++y) {
+            for (int x = 0; x < map.width * sub; ++x) {
+                const double px = (x + 0.5) / sub, py = (y + 0.5) / sub;
+                const Vec3d d = look(map, px, py);
+                if (d.length() < 0.5) continue;
+                texels[env->radiance(d).x].first
+                    += draws * env->pdf(d) * localSolidAngle(map, px, py) / (sub * sub);
+            }
+        }
+        CounterRng random(23);
+        for (int k = 0; k < draws; ++k) {
+            const double t = random.nextDouble(), u = random.nextDouble();
+            const Environment::Sample s = env->draw(t, u, random.nextDouble());
+            if (s.pdf > 0) ++texels[s.radiance.x].second;
+        }
+        double chi2 = 0;
+        int cells = 0;
+        for (const auto& [red, counts] : texels) {
+            if (counts.first < 10) continue;
+            ++cells;
+            chi2 += (counts.second - counts.first) * (counts.second - counts.first) / counts.first;
+        }
+        INFO(map.label << ": chi squared " << chi2 << " over " << cells);
+        CHECK(cells > 40);
+        CHECK(chi2 < cells + 5 * std::sqrt(2.0 * cells));
+    }
+}
+
 TEST_CASE("samples agree with look-up and density", "[environment]")
 {
     CounterRng random(11);
@@ -364,7 +400,9 @@ TEST_CASE("samples agree with look-up and density", "[environment]")
         int drawn = 0;
         double worst = 0;
         for (int k = 0; k < 100000; ++k) {
-            const Environment::Sample s = env->sample(random.nextDouble(), random.nextDouble());
+            const double u = random.nextDouble(), v = random.nextDouble();
+            const Environment::Sample s
+                = k % 2 ? env->sample(u, v) : env->draw(random.nextDouble(), u, v);
             CHECK_FALSE(!(s.pdf >= 0));
             if (s.pdf == 0) continue;
             ++drawn;

@@ -1,8 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "scene_fixture.h"
 
+#include "../../bake/src/texture.h"
+
 #include <lumivdb/bake/environment.h>
 #include <lumivdb/core/error.h>
+#include <lumivdb/core/random.h>
 
 #include <catch2/catch.hpp>
 
@@ -323,6 +326,39 @@ TEST_CASE("texture: look-ups filter linear values", "[scene]")
     CHECK(t.sample(0.49f, 0.49f)[0] == 0.0f);
     CHECK(t.sample(0.51f, 0.49f)[0] == 1.0f);
     CHECK(t.sample(0.51f, 0.51f)[0] == 20.0f);
+}
+
+TEST_CASE("texels give what their texture gives", "[scene][texture]")
+{
+    CounterRng random(5);
+    std::vector<unsigned char> bytes(7 * 5 * 4);
+    for (unsigned char& b : bytes) b = static_cast<unsigned char>(random.bits() >> 56);
+    const Scene scene
+        = withMaterial(kTextured, textures(R"("uri":")" + dataUri(png(7, 5, 4, bytes)) + "\""));
+    REQUIRE(scene.textures.size() == 1);
+    Texture t = scene.textures[0];
+    const auto compare = [&](bool packed) {
+        const Texels texels(t);
+        CHECK(texels.packed() == packed);
+        int different = 0;
+        for (int i = 0; i < 1000; ++i) {
+            const float u = 6 * random.next() - 3, v = 6 * random.next() - 3;
+            different += texels.sample(u, v) != t.sample(u, v);
+        }
+        CHECK(different == 0);
+    };
+    for (const bool nearest : {false, true}) {
+        t.nearest = nearest;
+        for (const WrapMode mode :
+            {WrapMode::Repeat, WrapMode::MirroredRepeat, WrapMode::ClampToEdge}) {
+            t.wrapU = t.wrapV = mode;
+            compare(true);
+        }
+    }
+    for (const float other : {0.5f, 2.0f, -0.0f, std::nextafter(t.pixels[5], 1.0f)}) {
+        t.pixels[5] = other;
+        compare(other == 0);
+    }
 }
 
 TEST_CASE("texture: no coordinate leaves the image", "[scene]")

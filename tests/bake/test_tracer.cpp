@@ -394,6 +394,26 @@ TEST_CASE("closed boxes hold every ray: axes, edges, vertices, doubled points", 
     }
 }
 
+namespace {
+
+void intersectSingle(const Tracer::Impl& impl, const RayBatch& rays, HitBatch& hits)
+{
+    RTCIntersectContext context;
+    rtcInitIntersectContext(&context);
+    for (int i = 0; i < rays.count; ++i) {
+        RTCRayHit r{};
+        r.ray = {rays.ox[i], rays.oy[i], rays.oz[i], 0, rays.dx[i], rays.dy[i], rays.dz[i], 0,
+            rays.tfar[i], ~0u, 0, 0};
+        r.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+        rtcIntersect1(impl.embree, &context, &r);
+        const bool hit = r.hit.geomID != RTC_INVALID_GEOMETRY_ID;
+        hits.triangle[i] = hit ? impl.triangleOf(r.hit.geomID, r.hit.primID) : kMiss;
+        hits.t[i] = r.ray.tfar;
+    }
+}
+
+} // namespace
+
 TEST_CASE("packets, single rays and shadow rays agree", "[tracer][packets]")
 {
     Scene scene;
@@ -416,24 +436,31 @@ TEST_CASE("packets, single rays and shadow rays agree", "[tracer][packets]")
     for (int count = 1; count <= kBatch; count += count < 40 ? 1 : 27) {
         auto rays = std::make_unique<RayBatch>();
         auto packet = std::make_unique<HitBatch>(), single = std::make_unique<HitBatch>();
+        auto scattered = std::make_unique<HitBatch>();
         const Vec3d from = randomPoint(rng, 3);
         for (int i = 0; i < count; ++i)
             rays->push(impl.toLocal(from), Vec3f(randomDirection(rng)), 1e30f);
         intersectCoherent(impl, *rays, *packet);
+        intersectScattered(impl, *rays, *scattered);
         intersectSingle(impl, *rays, *single);
         int different = 0;
         for (int i = 0; i < count; ++i) {
             different += packet->triangle[i] != single->triangle[i];
+            different += scattered->triangle[i] != single->triangle[i];
             const bool hit = single->triangle[i] != kMiss;
             ++(hit ? hits : misses);
             if (!hit) continue;
             different += std::abs(packet->t[i] - single->t[i]) > 1e-5f * single->t[i];
+            different += std::abs(scattered->t[i] - single->t[i]) > 1e-5f * single->t[i];
             rays->tfar[i] = single->t[i] * (i % 2 ? 1.001f : 0.999f); // just behind or before it
         }
-        std::uint8_t occluded[kBatch];
+        std::uint8_t occluded[kBatch], occludedScattered[kBatch];
         occlude(impl, *rays, occluded);
-        for (int i = 0; i < count; ++i)
-            different += occluded[i] != (single->triangle[i] != kMiss && i % 2 ? 1 : 0);
+        occludeScattered(impl, *rays, occludedScattered);
+        for (int i = 0; i < count; ++i) {
+            const int expected = single->triangle[i] != kMiss && i % 2 ? 1 : 0;
+            different += (occluded[i] != expected) + (occludedScattered[i] != expected);
+        }
         CAPTURE(count);
         CHECK(different == 0);
     }

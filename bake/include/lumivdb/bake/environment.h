@@ -61,8 +61,21 @@ public:
     /// Draws a direction from u, v ∈ [0,1). Continuous in (u, v) almost everywhere, so that
     /// stratified (u, v) give stratified directions.
     Sample sample(double u, double v) const;
-    /// Density of sample() at @a d, per steradian.
+    /// The same distribution from independent numbers, in three steps, so that many draws can wait
+    /// for memory together: for all prefetchDraw(t), for all drawTexel(t), for all sampleTexel() of
+    /// what that gave. t draws the texel, (u, v) the point in it. @pre power() > 0
+    void prefetchDraw(double t) const;
+    std::uint32_t drawTexel(double t) const;
+    Sample sampleTexel(std::uint32_t texel, double u, double v) const;
+    Sample draw(double t, double u, double v) const { return sampleTexel(drawTexel(t), u, v); }
+    /// Density of sample() and of draw() at @a d, per steradian.
     double pdf(const Vec3d& d) const;
+    struct Arrival {
+        Color radiance;
+        double pdf;
+    };
+    /// radiance() and pdf() at once.
+    Arrival arrival(const Vec3d& d) const;
 
     /// ∫ luminance dω, for choosing between lights.
     double power() const;

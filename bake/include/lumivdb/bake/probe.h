@@ -100,7 +100,7 @@ private:
     const Tracer& mTracer;
     ProbeOptions mOptions;
     std::vector<Vec3f> mDirections; // shared by all points
-    std::shared_ptr<Tables> mTables; // made when first needed
+    std::shared_ptr<Tables> mTables; // shared too
 };
 
 /// Sets @a result.gradient by central differences: six projections at ±δ along the axes, under the
