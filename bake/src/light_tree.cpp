@@ -113,45 +113,49 @@ public:
     {
         std::iota(mOrder.begin(), mOrder.end(), 0u);
         mTree.mNodes.reserve(2 * lights.size());
+        mTree.mNodes.resize(1);
         mTree.mTrail.resize(lights.size());
         const auto infinite = std::stable_partition(
             mOrder.begin(), mOrder.end(), [&](std::uint32_t i) { return !mLights[i].infinite; });
         const auto finite = static_cast<std::size_t>(infinite - mOrder.begin());
         if (finite == 0 || finite == mOrder.size()) {
-            build(0, mOrder.size(), 0, 0);
+            build(0, 0, mOrder.size(), 0, 0);
         } else {
-            join(0, finite, mOrder.size(), 0, 0);
+            join(0, 0, finite, mOrder.size(), 0, 0);
         }
     }
 
 private:
     using Trail = std::uint64_t;
 
-    LightBound build(std::size_t first, std::size_t last, Trail trail, int depth)
+    /// Fills @a self and what is below it.
+    LightBound build(std::size_t self, std::size_t first, std::size_t last, Trail trail, int depth)
     {
-        if (last - first > 1) return join(first, split(first, last, depth), last, trail, depth);
+        if (last - first > 1) {
+            return join(self, first, split(first, last, depth), last, trail, depth);
+        }
         const std::uint32_t light = mOrder[first];
-        Node node = nodeOf(mLights[light]);
-        node.leaf = true;
-        node.next = light;
-        mTree.mNodes.push_back(node);
         mTree.mTrail[light] = trail;
-        return mLights[light];
+        return setNode(self, mLights[light], light, true);
     }
 
-    LightBound join(std::size_t first, std::size_t middle, std::size_t last, Trail trail, int depth)
+    LightBound join(std::size_t self, std::size_t first, std::size_t middle, std::size_t last,
+        Trail trail, int depth)
     {
-        const std::size_t self = mTree.mNodes.size();
-        mTree.mNodes.emplace_back();
-        const LightBound left = build(first, middle, trail, depth + 1);
-        const auto right = static_cast<std::uint32_t>(mTree.mNodes.size());
-        const LightBound both
-            = left.united(build(middle, last, trail | Trail{1} << depth, depth + 1));
-        Node node = nodeOf(both);
-        node.leaf = false;
-        node.next = right;
+        const std::size_t left = mTree.mNodes.size();
+        mTree.mNodes.resize(left + 2);
+        const LightBound a = build(left, first, middle, trail, depth + 1);
+        const LightBound b = build(left + 1, middle, last, trail | Trail{1} << depth, depth + 1);
+        return setNode(self, a.united(b), static_cast<std::uint32_t>(left), false);
+    }
+
+    LightBound setNode(std::size_t self, const LightBound& bound, std::uint32_t next, bool leaf)
+    {
+        Node node = nodeOf(bound);
+        node.next = next;
+        node.leaf = leaf;
         mTree.mNodes[self] = node;
-        return both;
+        return bound;
     }
 
     /// Where infinitely far lights are, for splitting: the way they go.
@@ -309,7 +313,7 @@ double LightTree::rootChance(const Receiver& receiver) const
 /// Chance of the left child; below 0 where nothing arrives from either.
 double LightTree::leftChance(std::uint32_t node, const Receiver& receiver) const
 {
-    const Node &left = mNodes[node + 1], &right = mNodes[mNodes[node].next];
+    const Node &left = mNodes[mNodes[node].next], &right = mNodes[mNodes[node].next + 1];
     const double l = importance(left, receiver), r = importance(right, receiver);
     if (!(l + r > 0)) return -1;
     const double share = l / (l + r);
@@ -327,11 +331,11 @@ LightTree::Choice LightTree::choose(const Receiver& receiver, double& t) const
         if (t < left) {
             t /= left;
             probability *= left;
-            ++node;
+            node = mNodes[node].next;
         } else {
             t = (t - left) / (1 - left);
             probability *= 1 - left;
-            node = mNodes[node].next;
+            node = mNodes[node].next + 1;
         }
         t = std::min(t, kAlmostOne);
     }
@@ -347,7 +351,7 @@ double LightTree::probability(const Receiver& receiver, std::uint32_t light) con
         if (left < 0) return 0;
         const bool toRight = (trail & 1) != 0;
         probability *= toRight ? 1 - left : left;
-        node = toRight ? mNodes[node].next : node + 1;
+        node = mNodes[node].next + (toRight ? 1 : 0);
     }
     return probability;
 }

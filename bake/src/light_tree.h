@@ -61,14 +61,15 @@ public:
     double probability(const Receiver& receiver, std::uint32_t light) const;
 
 private:
-    struct Node {
+    /// One cache line; siblings are neighbours, so that a level of a descent is one place.
+    struct alignas(64) Node {
         Vec3f center; ///< of the bounding sphere
         float radius;
         Vec3f axis;
         float cosSpread, sinSpread, cosReach;
         float range;
         float intensity;
-        std::uint32_t next; ///< leaf: the light; else the right child, the left one being the next
+        std::uint32_t next; ///< leaf: the light; else the left child, the right one being behind it
         bool leaf, twoSided, infinite;
     };
     class Builder;
@@ -77,7 +78,7 @@ private:
     double rootChance(const Receiver& receiver) const;
     double leftChance(std::uint32_t node, const Receiver& receiver) const;
 
-    std::vector<Node> mNodes; // depth first
+    std::vector<Node> mNodes; // the root first, then pairs of siblings, depth first
     std::vector<std::uint64_t> mTrail; // per light: right turns on the way to it, from bit 0 on
 };
 
