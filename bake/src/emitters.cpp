@@ -5,6 +5,27 @@
 
 namespace lumivdb {
 
+namespace {
+
+constexpr double kPi = 3.14159265358979323846;
+constexpr double kAlmostOne = 0x1.fffffffffffffp-1;
+
+LightBound boundOf(const EmitterTable::Triangle& t)
+{
+    LightBound b;
+    const Vec3f corners[3] = {t.a, t.a + t.ab, t.a + t.ac};
+    for (int i = 0; i < 3; ++i) {
+        b.lower[i] = std::min({corners[0][i], corners[1][i], corners[2][i]});
+        b.upper[i] = std::max({corners[0][i], corners[1][i], corners[2][i]});
+    }
+    b.axis = t.normal;
+    b.twoSided = t.doubleSided;
+    b.intensity = t.power / (kPi * (t.doubleSided ? 2 : 1));
+    return b;
+}
+
+} // namespace
+
 int EmitterTable::add(const Triangle& triangle)
 {
     mTriangles.push_back(triangle);
@@ -36,16 +57,33 @@ void EmitterTable::finish(std::shared_ptr<const Environment> environment)
     mCdf.push_back(1.0);
     // Rounding must not leave a gap at the end that nothing owns.
     if (!environmentLit) mCdf[mCdf.size() - 2] = 1.0;
+    if (mTriangles.size() <= kFewEmitters || !(trianglePower > 0)) return;
+    std::vector<LightBound> bounds;
+    for (const Triangle& t : mTriangles) bounds.push_back(boundOf(t));
+    mTree = LightTree(bounds);
 }
 
-std::size_t EmitterTable::choose(double& t) const
+EmitterTable::Choice EmitterTable::choose(const Receiver& to, double& t) const
 {
+    if (!mTree.empty()) return chooseFromTree(to, t);
     const auto it = std::upper_bound(mCdf.begin(), mCdf.end() - 1, t);
     const auto index = static_cast<std::size_t>(it - mCdf.begin());
     const double low = index == 0 ? 0.0 : mCdf[index - 1];
     const double width = mCdf[index] - low;
-    t = width > 0 ? std::clamp((t - low) / width, 0.0, 0x1.fffffffffffffp-1) : 0.0;
-    return index;
+    t = width > 0 ? std::clamp((t - low) / width, 0.0, kAlmostOne) : 0.0;
+    return {index, index < mTriangles.size() ? mTriangles[index].probability : width};
+}
+
+EmitterTable::Choice EmitterTable::chooseFromTree(const Receiver& to, double& t) const
+{
+    const double triangles = 1 - mEnvironmentProbability;
+    if (t < triangles) {
+        t = std::min(t / triangles, kAlmostOne);
+        const LightTree::Choice c = mTree.choose(to, t);
+        return {c.light, c.probability * triangles};
+    }
+    t = std::clamp((t - triangles) / mEnvironmentProbability, 0.0, kAlmostOne);
+    return {mTriangles.size(), mEnvironmentProbability};
 }
 
 EmitterSample EmitterTable::environmentSample(const Environment::Sample& e) const
@@ -68,10 +106,15 @@ EmitterSample EmitterTable::sampleEnvironmentTexel(std::int64_t texel, double u,
     return environmentSample(mEnvironment->sampleTexel(static_cast<std::uint32_t>(texel), u, v));
 }
 
-double EmitterTable::pdfTriangle(int emitter, double distance, double cosine) const
+double EmitterTable::pdfTriangle(
+    const Receiver& to, int emitter, double distance, double cosine) const
 {
+    if (!(cosine > 0)) return 0;
     const Triangle& e = mTriangles[static_cast<std::size_t>(emitter)];
-    return cosine > 0 ? e.probability / e.area * distance * distance / cosine : 0.0;
+    const double chance = mTree.empty() ? e.probability
+                                        : mTree.probability(to, static_cast<std::uint32_t>(emitter))
+            * (1 - mEnvironmentProbability);
+    return chance / e.area * distance * distance / cosine;
 }
 
 double EmitterTable::pdfEnvironment(const Vec3f& direction) const

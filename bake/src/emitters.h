@@ -7,6 +7,8 @@
 #include <lumivdb/bake/environment.h>
 #include <lumivdb/bake/scene.h>
 
+#include "light_tree.h"
+
 #include <algorithm>
 #include <cstdint>
 #include <memory>
@@ -24,7 +26,8 @@ struct EmitterSample {
     double pdf = 0; ///< per steradian, choice of the emitter included; 0: nothing
 };
 
-/// Emissive triangles, chosen by their power, and the environment, as likely as all of them.
+/// Emissive triangles and the environment, which is as likely as all of them. Up to kFewEmitters
+/// triangles are chosen by their power, more of them by a LightTree: by about what they give there.
 class EmitterTable {
 public:
     struct Triangle {
@@ -34,8 +37,8 @@ public:
         float area;
         float offset; ///< see SurfacePoint::offset
         bool doubleSided;
-        double power; ///< weight of the choice
-        double probability = 0;
+        double power; ///< luminance, both sides
+        double probability = 0; ///< of the choice by power
     };
 
     int add(const Triangle& triangle);
@@ -45,16 +48,18 @@ public:
     std::size_t triangleCount() const { return mTriangles.size(); }
     const std::vector<Triangle>& triangles() const { return mTriangles; }
 
+    static constexpr std::size_t kFewEmitters = 32;
+
     /// Draws from t ∈ [0,1): first the emitter, then, with what t has left, a point on it along a
     /// Hilbert curve. Stratified t give stratified emitters and stratified points of each.
     /// @a emission(triangle index, u, v) gives the radiance of a triangle's front.
     template <class Emission>
-    EmitterSample sampleStratum(const Vec3f& from, double t, const Emission& emission) const;
+    EmitterSample sampleStratum(const Receiver& to, double t, const Emission& emission) const;
 
     /// Draws the emitter from t and the point on it from u, v: for independent random numbers.
     template <class Emission>
     EmitterSample sample(
-        const Vec3f& from, double t, double u, double v, const Emission& emission) const;
+        const Receiver& to, double t, double u, double v, const Emission& emission) const;
 
     /// sample() for many, see Environment: first prefetch(t) for all, then environmentTexel(t) for
     /// all, which is −1 where t draws a triangle, else what sampleEnvironmentTexel() takes.
@@ -70,17 +75,23 @@ public:
     }
     EmitterSample sampleEnvironmentTexel(std::int64_t texel, double u, double v) const;
 
-    /// Density of sample() for a triangle met at @a distance under |cos| = @a cosine.
-    double pdfTriangle(int emitter, double distance, double cosine) const;
+    /// Density of sample() at @a to for a triangle met at @a distance under |cos| = @a cosine.
+    double pdfTriangle(const Receiver& to, int emitter, double distance, double cosine) const;
     double pdfEnvironment(const Vec3f& direction) const;
     /// Of drawing the environment.
     double environmentProbability() const { return mEnvironmentProbability; }
 
 private:
-    std::size_t choose(double& t) const;
+    /// An emitter, triangleCount() being the environment, and the chance to draw it.
+    struct Choice {
+        std::size_t emitter;
+        double probability; ///< 0: none
+    };
+    Choice choose(const Receiver& to, double& t) const;
+    Choice chooseFromTree(const Receiver& to, double& t) const;
     template <class Emission>
-    EmitterSample samplePoint(
-        std::size_t chosen, const Vec3f& from, double s, double t, const Emission& emission) const;
+    EmitterSample samplePoint(const Choice& choice, const Vec3f& from, double s, double t,
+        const Emission& emission) const;
     EmitterSample sampleEnvironment(double u, double v) const;
     /// What t ∈ [0, 1) has left where it draws the environment, else negative.
     double environmentRest(double t) const
@@ -96,6 +107,7 @@ private:
     double mEnvironmentProbability = 0, mPerEnvironmentProbability = 0;
     double mEnvironmentStart = 0; // of the t that draw it
     std::vector<double> mCdf; // triangles in order, then the environment; ends at 1
+    LightTree mTree; // of the triangles, where they are many
 };
 
 /// glTF's recommended window: 1 on the light, 0 from @a range on; 1 everywhere where that is 0.
@@ -109,6 +121,31 @@ struct PunctualSample {
     Color irradiance{0, 0, 0};
 };
 PunctualSample samplePunctual(const Light& light, const Vec3f& localPosition, const Vec3f& to);
+
+/// Point, spot and directional lights, to draw one of them for a place on a surface. Up to
+/// kWeighedLights are weighed one by one by what they give there, more of them by a LightTree.
+class PunctualTable {
+public:
+    static constexpr std::size_t kWeighedLights = 64;
+
+    PunctualTable() = default;
+    /// @a origin: world position of local zero. Keeps @a lights, which must outlive it.
+    PunctualTable(const std::vector<Light>& lights, const Vec3d& origin);
+
+    bool empty() const { return mLights == nullptr || mLights->empty(); }
+
+    /// Draws a light from @a t ∈ [0,1); its irradiance, unshadowed, is divided by the chance to
+    /// draw it. The receiver needs a normal. False: no light arrives.
+    bool sample(const Receiver& to, double t, PunctualSample& light) const;
+
+private:
+    PunctualSample at(std::size_t light, const Vec3f& to) const;
+    bool sampleWeighed(const Receiver& to, double t, PunctualSample& light) const;
+
+    const std::vector<Light>* mLights = nullptr;
+    std::vector<Vec3f> mPositions; // local
+    LightTree mTree; // where they are many
+};
 
 } // namespace lumivdb
 

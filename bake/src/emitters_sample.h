@@ -24,31 +24,33 @@ inline Vec2f squareToTriangle(const Vec2d& square)
 
 template <class Emission>
 EmitterSample EmitterTable::sampleStratum(
-    const Vec3f& from, double t, const Emission& emission) const
+    const Receiver& to, double t, const Emission& emission) const
 {
-    const std::size_t chosen = choose(t);
+    const Choice choice = choose(to, t);
     const Vec2d square = hilbertPoint(t);
-    return samplePoint(chosen, from, square.x, square.y, emission);
+    return samplePoint(choice, to.position, square.x, square.y, emission);
 }
 
 template <class Emission>
 EmitterSample EmitterTable::sample(
-    const Vec3f& from, double t, double u, double v, const Emission& emission) const
+    const Receiver& to, double t, double u, double v, const Emission& emission) const
 {
     const std::int64_t texel = environmentTexel(t);
     if (texel >= 0) return sampleEnvironmentTexel(texel, u, v);
-    return samplePoint(choose(t), from, u, v, emission);
+    const Choice choice = choose(to, t);
+    return samplePoint(choice, to.position, u, v, emission);
 }
 
 template <class Emission>
-EmitterSample EmitterTable::samplePoint(std::size_t chosen, const Vec3f& from, double squareU,
+EmitterSample EmitterTable::samplePoint(const Choice& choice, const Vec3f& from, double squareU,
     double squareV, const Emission& emission) const
 {
-    if (chosen == mTriangles.size()) return sampleEnvironment(squareU, squareV);
+    if (!(choice.probability > 0)) return {};
+    if (choice.emitter == mTriangles.size()) return sampleEnvironment(squareU, squareV);
 
     const Vec2f place = squareToTriangle({squareU, squareV});
     const float u = place.x, v = place.y;
-    const Triangle& e = mTriangles[chosen];
+    const Triangle& e = mTriangles[choice.emitter];
     EmitterSample s;
     Vec3f point = e.a + e.ab * u + e.ac * v;
     const float facing = e.normal.dot(from - point);
@@ -62,7 +64,7 @@ EmitterSample EmitterTable::samplePoint(std::size_t chosen, const Vec3f& from, d
     s.normal = e.normal;
     const double cosine = std::abs(static_cast<double>(e.normal.dot(s.direction)));
     if (!(cosine > 0)) return s;
-    s.pdf = e.probability / e.area * distance2 / cosine;
+    s.pdf = choice.probability / e.area * distance2 / cosine;
     s.radiance = emission(e.triangle, u, v);
     return s;
 }

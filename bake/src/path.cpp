@@ -29,8 +29,6 @@ constexpr int kLongPath = 2048;
 constexpr float kLongPathSurvival = 0.999f;
 /// Shadow rays stop this much short of the light, in their length: Embree's distances round.
 constexpr float kShadowEnd = 1 - 0x1p-17f;
-/// Punctual lights are weighed one by one up to this many, then chosen with equal chances.
-constexpr std::size_t kWeighedLights = 64;
 
 float maxComponent(const Color& c) { return std::max({c.x, c.y, c.z}); }
 
@@ -66,7 +64,7 @@ void pushShadow(RayBatch& rays, const Vec3f& from, const EmitterSample& s)
 
 EmitterSample sampleStratum(const Tracer::Impl& impl, const Vec3f& p, double t)
 {
-    return impl.emitters.sampleStratum(p, t, [&](std::uint32_t triangle, float u, float v) {
+    return impl.emitters.sampleStratum({p}, t, [&](std::uint32_t triangle, float u, float v) {
         return impl.emissionAt(impl.triangles[triangle], u, v);
     });
 }
@@ -234,7 +232,7 @@ void PathTracer::startPaths(const Vec3f& p, const ProbeStratum* strata, std::uin
         if (result.wantPlanes) result.plane[i] = InversePlane(s.normal, d, result.hits.t[i]);
         if (direct && s.emitter >= 0) {
             const double pdf = mImpl.emitters.pdfTriangle(
-                s.emitter, result.hits.t[i], std::abs(s.normal.dot(d)));
+                {p}, s.emitter, result.hits.t[i], std::abs(s.normal.dot(d)));
             result.uniform[i] = s.emission * uniformWeight(pdf);
         }
         if (maxComponent(s.albedo) <= 0) continue;
@@ -324,7 +322,7 @@ void PathTracer::reflectFromEmitters(PathBatchResult& result, const GatherDraw* 
         const EmitterSample e = texel[j] >= 0
             ? mImpl.emitters.sampleEnvironmentTexel(texel[j], u[j], v[j])
             : mImpl.emitters.sample(
-                from, t[j], u[j], v[j], [&](std::uint32_t triangle, float tu, float tv) {
+                s.receiver(), t[j], u[j], v[j], [&](std::uint32_t triangle, float tu, float tv) {
                     return mImpl.emissionAt(mImpl.triangles[triangle], tu, tv);
                 });
         const float cosine = s.normal.dot(e.direction);
@@ -339,50 +337,15 @@ void PathTracer::reflectFromEmitters(PathBatchResult& result, const GatherDraw* 
     addUnoccluded(result);
 }
 
-bool PathTracer::choosePunctual(const SurfacePoint& s, CounterRng& rng, PunctualSample& light)
-{
-    const std::vector<Light>& lights = mImpl.scene->lights;
-    const Vec3f from = s.leaving();
-    const auto sampleLight = [&](std::size_t i) {
-        return samplePunctual(lights[i], mImpl.toLocal(lights[i].position), from);
-    };
-    if (lights.size() > kWeighedLights) {
-        const auto i = std::min(lights.size() - 1,
-            static_cast<std::size_t>(rng.nextDouble() * static_cast<double>(lights.size())));
-        light = sampleLight(i);
-        light.irradiance *= static_cast<float>(lights.size());
-        return s.normal.dot(light.direction) > 0;
-    }
-    float weights[kWeighedLights];
-    float total = 0;
-    for (std::size_t i = 0; i < lights.size(); ++i) {
-        const PunctualSample candidate = sampleLight(i);
-        weights[i]
-            = std::max(0.0f, s.normal.dot(candidate.direction)) * luminance(candidate.irradiance);
-        total += weights[i];
-    }
-    if (!(total > 0) || !std::isfinite(total)) return false;
-    float target = rng.next() * total;
-    std::size_t chosen = lights.size();
-    for (std::size_t i = 0; i < lights.size(); ++i) {
-        if (!(weights[i] > 0)) continue;
-        chosen = i;
-        target -= weights[i];
-        if (target < 0) break;
-    }
-    light = sampleLight(chosen);
-    light.irradiance *= total / weights[chosen];
-    return true;
-}
-
 void PathTracer::reflectFromPunctual(PathBatchResult& result)
 {
-    if (mImpl.scene->lights.empty()) return;
+    if (mImpl.punctual.empty()) return;
     mShadow.count = 0;
     for (int j = 0; j < mPathCount; ++j) {
         Path& path = mPaths[j];
         PunctualSample light;
-        if (!choosePunctual(path.surface, path.rng, light)) continue;
+        const double t = path.rng.nextDouble();
+        if (!mImpl.punctual.sample(path.surface.receiver(), t, light)) continue;
         const float cosine = path.surface.normal.dot(light.direction);
         mShadowValue[mShadow.count]
             = path.throughput * path.surface.albedo * light.irradiance * (cosine / kPi);
@@ -439,8 +402,8 @@ void PathTracer::follow(PathBatchResult& result, bool markBacks)
         const SurfacePoint s = mImpl.surfaceSeen(path.surface.leaving(), d, mNextHits.triangle[j],
             mNextHits.t[j], mNextHits.u[j], mNextHits.v[j]);
         if (s.emitter >= 0) {
-            const double pdf
-                = mImpl.emitters.pdfTriangle(s.emitter, mNextHits.t[j], std::abs(s.normal.dot(d)));
+            const double pdf = mImpl.emitters.pdfTriangle(
+                path.surface.receiver(), s.emitter, mNextHits.t[j], std::abs(s.normal.dot(d)));
             result.uniform[path.stratum] += path.throughput * s.emission * weight(pdf);
         }
         if (markBacks && s.backFace) result.backFace[path.stratum] = true;

@@ -122,7 +122,6 @@ private:
     void follow(PathBatchResult& result, bool markBacks = false);
     void lookUp(PathBatchResult& result);
     void addUnoccluded(PathBatchResult& result);
-    bool choosePunctual(const SurfacePoint& s, CounterRng& rng, PunctualSample& light);
 
     void note(const RayBatch& rays, bool shadow);
 

@@ -270,6 +270,7 @@ private:
             t.emitter = twin.first->second = mImpl.emitters.add(e);
         }
         mImpl.emitters.finish(mImpl.scene->environment);
+        mImpl.punctual = PunctualTable(mImpl.scene->lights, mImpl.origin);
     }
 
     /// The vertices from the smallest on, in their order, or sorted where both sides shine.

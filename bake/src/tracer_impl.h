@@ -47,6 +47,7 @@ struct SurfacePoint {
     bool behind; ///< seen from the side opposite to the triangle's front
 
     Vec3f leaving() const { return position + normal * offset; }
+    Receiver receiver() const { return {leaving(), normal}; }
 };
 
 struct Tracer::Impl {
@@ -92,6 +93,7 @@ struct Tracer::Impl {
     std::uint32_t triangleCount = 0;
     Box3d bounds; ///< world
     EmitterTable emitters;
+    PunctualTable punctual;
     std::vector<Texels> texels; ///< of scene->textures
 
     Impl() = default;
