@@ -111,7 +111,7 @@ class Lumivdb:
         self.command += ["--env", env] if env else []
         self.command += ["--emission-sides", "front"] if fronts else []
         self.integrator, self.floor = "path", 0
-        self.floor = min(self.trace([(0, 1, 0)], 2, 0)[1] for _ in range(3))
+        self.floor = min(self.trace([(0, 1, 0)], 2, 0)[1] for _ in range(5))
 
     def run(self, points, rays, seed):
         command = self.command + ["--rays", rays, "--seed", seed, "--integrator", self.integrator]
@@ -125,6 +125,9 @@ class Lumivdb:
 
     def trace(self, points, rays, seed):
         rows, seconds = self.run(points, rays, seed)
+        for _ in range(2):  # what is short is told less well from the floor
+            if self.floor and seconds < 2:
+                seconds = min(seconds, self.run(points, rays, seed)[1])
         return [[[float(row[f"sh_{i}_{c}"]) for c in "rgb"] for i in range(BANDS ** 2)]
                 for row in rows], seconds
 
@@ -316,10 +319,10 @@ def main():
     parser.add_argument("scene", nargs="*")
     parser.add_argument("--integrator", action="append", choices=["path", "cached"])
     parser.add_argument("--probes", type=int, default=512)
-    parser.add_argument("--trial", type=int, default=8, help="probes of the agreement, of the width")
+    parser.add_argument("--trial", type=int, default=16, help="probes of the agreement, of the width")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--width", type=int, help="of the panoramas; without, the best is found")
-    parser.add_argument("--fine", type=int, default=256, help="width for converged panoramas")
+    parser.add_argument("--fine", type=int, default=512, help="width for converged panoramas")
     parser.add_argument("--adaptive", type=float, default=0, help="Cycles' noise threshold")
     parser.add_argument("--repeats", type=int, default=8, help="seeds of the agreement")
     parser.add_argument("--converge", type=float, default=60, help="seconds a tracer, agreement")
