@@ -15,11 +15,13 @@ with the integrals of the basis over each pixel. One process renders all points 
 E_ref is LumiVDB's path tracer with many rays, two seeds; its noise is taken off. That Cycles
 converges to the same is tested first, at a few probes, with independent seeds on both sides.
 
-Seconds to 1%: sample counts grow by 4 until rel_rmse is below 1% or the budget is spent; between two
-counts log-log, beyond the last with the slope -1/2 of independent samples (marked ~). The size of
-the panorama is the one that reaches 1% soonest at the trial probes. Seconds are wall clock, less
-what an empty job takes: for Cycles an 8 x 4 render of one sample, for LumiVDB a run with one point and two rays by
-`path`. So loading, hierarchies and process start do not count; solving a cache does.
+Seconds to 1%: sample counts grow by 4 until rel_rmse is below 1% or the budget is spent; between
+two counts log-log, beyond the last with the slope -1/2 of independent samples (marked ~; true is
+more where an error that does not shrink is left, as that of coarse pixels or of a cache). The size
+of the panorama is the one that reaches 1% soonest at the trial probes. Seconds are wall clock, less
+what an empty job takes: for Cycles an 8 x 4 render of one sample, for LumiVDB a run with one point
+and two rays by `path`. So loading, hierarchies and process start do not count; solving a cache
+does.
 
 How the model is mapped to Cycles:
   surfaces     Diffuse BSDF of roughness 0, colour = what the importer links to Base Color (for OBJ
@@ -30,9 +32,10 @@ How the model is mapped to Cycles:
   textures     nearest texel: Cycles filters 8-bit images before it decodes sRGB, LumiVDB after; the
                nearest texel has the mean of the latter
   environment  the same lat-long convention, nearest texel, raw values
-  suns         W/m2 of Blender = E on a surface that faces it (KHR lux as they are), no angle
-  paths        1024 bounces, no clamping, caustics on, no denoising, fixed samples, box filter of one
-               pixel, camera clipping from 1e-6, output raw 32-bit float
+  suns         W/m2 of Blender = E on a surface that faces it (KHR lux as they are), no angle. A
+               camera does not see them, so their direct part is taken off LumiVDB's probes too
+  paths        1024 bounces, no clamping, caustics on, no denoising, fixed samples, box filter of
+               one pixel, camera clipping from 1e-6, output raw 32-bit float
 """
 
 import argparse
@@ -57,13 +60,16 @@ BANDS, NORMALS, TARGET = 3, 32, 0.01
 
 
 def scenes(assets):
-    """name: (scene, environment, only fronts shine, bounds of the probes)"""
+    """name: (scene, environment, only fronts shine, bounds of the probes, unseen light group)"""
     sky = assets / "hdri-polyhaven/venice_sunset_1k.hdr"
+    court = (-10, 0, -4, 10, 10, 4)
     all_scenes = {
-        "cornell": (assets / "cornell-bitterli/cornell-bitterli.glb", None, True, (-1, 0, -1, 1, 2, 1)),
-        "sponza-dabrovic": (assets / "sponza-dabrovic/sponza.obj", sky, False, (-10, 0, -4, 10, 10, 4)),
-        "sponza-crytek": (assets / "sponza-crytek/sponza.glb", sky, False, (-10, 0, -4, 10, 10, 4)),
-        "house": (SAMPLES / "house.glb", SAMPLES / "sky.hdr", False, (-10, 0, -10, 10, 5, 10)),
+        "cornell": (assets / "cornell-bitterli/cornell-bitterli.glb", None, True,
+                    (-1, 0, -1, 1, 2, 1), None),
+        "sponza-dabrovic": (assets / "sponza-dabrovic/sponza.obj", sky, False, court, None),
+        "sponza-crytek": (assets / "sponza-crytek/sponza.glb", sky, False, court, None),
+        "house": (SAMPLES / "house.glb", SAMPLES / "sky.hdr", False, (-10, 0, -10, 10, 5, 10),
+                  "sun"),
     }
     return {k: v for k, v in all_scenes.items() if v[0].exists()}
 
@@ -76,9 +82,10 @@ class Cycles:
         job = {"scene": str(scene), "env": env and str(env), "fronts": fronts,
                "threads": args.threads, "adaptive": args.adaptive,
                "picture": str((args.out / "panorama.exr").resolve())}
-        command = [shutil.which("blender") or sys.exit("No blender in the PATH."), "--background", "--factory-startup", "--python-exit-code", "1",
+        blender = shutil.which("blender") or sys.exit("No blender in the PATH.")
+        command = [blender, "--background", "--factory-startup", "--python-exit-code", "1",
                    "--python", BLENDER_HALF, "--", json.dumps(job)]
-        # Debian's Blender would take the libraries of any other Python that comes first in the PATH.
+        # Debian's Blender would take the libraries of another Python that comes first in the PATH.
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                                         text=True, env={**os.environ, "PATH": os.defpath})
         self.trace([(0, 1, 0)], 1, 0, width=8)  # builds the hierarchy
@@ -105,7 +112,8 @@ class Cycles:
 
 
 class Lumivdb:
-    def __init__(self, args, scene, env, fronts):
+    def __init__(self, args, scene, env, fronts, unseen=None):
+        self.unseen = unseen
         self.command = [args.program, "probe", scene, "--bands", BANDS, "--quiet",
                         "--threads", args.threads, "--points", "-"]
         self.command += ["--env", env] if env else []
@@ -113,8 +121,9 @@ class Lumivdb:
         self.integrator, self.floor = "path", 0
         self.floor = min(self.trace([(0, 1, 0)], 2, 0)[1] for _ in range(5))
 
-    def run(self, points, rays, seed):
-        command = self.command + ["--rays", rays, "--seed", seed, "--integrator", self.integrator]
+    def run(self, points, rays, seed, more=()):
+        command = [*self.command, "--rays", rays, "--seed", seed, *more]
+        command += [] if more else ["--integrator", self.integrator]
         start = time.perf_counter()
         done = subprocess.run(list(map(str, command)), capture_output=True, text=True,
                               input="".join(f"{x!r},{y!r},{z!r}\n" for x, y, z in points))
@@ -128,8 +137,18 @@ class Lumivdb:
         for _ in range(2):  # what is short is told less well from the floor
             if self.floor and seconds < 2:
                 seconds = min(seconds, self.run(points, rays, seed)[1])
+        found = self.sh(rows)
+        if self.unseen:  # a point has no noise in it, two rays are enough
+            only = ["--light-group", self.unseen, "--contribution", "direct"]
+            direct = self.sh(self.run(points, 2, 1, only)[0])
+            found = [[[a - b for a, b in zip(*rgb)] for rgb in zip(*probe)]
+                     for probe in zip(found, direct)]
+        return found, seconds
+
+    @staticmethod
+    def sh(rows):
         return [[[float(row[f"sh_{i}_{c}"]) for c in "rgb"] for i in range(BANDS ** 2)]
-                for row in rows], seconds
+                for row in rows]
 
     def rays(self, samples):
         return samples
@@ -265,8 +284,8 @@ def references(lumivdb, points, seconds):
 
 
 def measure(name, setup, args):
-    scene, env, fronts, bounds = setup
-    lumivdb = Lumivdb(args, scene, env, fronts)
+    scene, env, fronts, bounds, unseen = setup
+    lumivdb = Lumivdb(args, scene, env, fronts, unseen)
     points = choose_points(lumivdb, bounds, args.probes)
     trial = points[:args.trial]
     cycles = Cycles(args, scene, env, fronts)
@@ -275,11 +294,19 @@ def measure(name, setup, args):
     cycles.width = args.width or choose_width(
         cycles, trial, references(lumivdb, trial, args.budget / 4), args)
     reference = references(lumivdb, points, args.reference)
-    result["width"], result["cycles"] = cycles.width, series(cycles, points, reference, 1, args.budget)
+    result["reference_stderr"] = max(
+        math.sqrt(mean_square(*(flat(e, c) for e in reference))) / 2
+        / statistics.fmean(flat(reference[0], c)) for c in range(3))
+    result["width"] = cycles.width
+    result["cycles"] = series(cycles, points, reference, 1, args.budget)
     cycles.close()
     for integrator in args.integrator:
         lumivdb.integrator = integrator
         result[integrator] = series(lumivdb, points, reference, 64, args.budget)
+    for tracer in ["cycles", *args.integrator]:
+        result[tracer] = {"counts": result[tracer]} | {
+            f"seconds_to_1%_{key}": seconds_to_target(result[tracer], key)
+            for key in ("rel_rmse", "own")}
     (args.out / f"{name}.cycles.json").write_text(json.dumps(result, indent=1))
     return result
 
@@ -287,24 +314,26 @@ def measure(name, setup, args):
 # ---- tables
 
 def print_tables(results, args):
-    print("| scene, converged | channel | rms difference | expected from noise | in standard errors |"
-          " mean difference | its standard error |\n|---|---|---|---|---|---|---|")
+    print("| scene, converged | channel | rms difference | expected from noise | "
+          "in standard errors | mean difference | its standard error |\n"
+          "|---|---|---|---|---|---|---|")
     for result in results:
         for channel, row in zip("RGB", result["agreement"]):
             print(f"| {result['scene']} | {channel} | {row['difference']:.3%} | "
                   f"{row['expected']:.3%} | {row['in_errors']:.2f} | {row['bias']:+.3%} | "
                   f"{row['bias_stderr']:.3%} |")
-    print("\n| scene | probes | tracer | rays a probe at the end | rel_rmse there | s a probe to 1% | "
-          "Cycles / it | s of a median probe to its own 1% | Cycles / it |\n"
-          "|---|---|---|---|---|---|---|---|---|")
+    print("\n| scene | probes | reference's error | tracer | rays a probe at the end | "
+          "rel_rmse there | s a probe to 1% | Cycles / it | "
+          "s of a median probe to its own 1% | Cycles / it |\n"
+          "|---|---|---|---|---|---|---|---|---|---|")
     for result in results:
         cells = {}
         for tracer in ["cycles", *args.integrator]:
-            cells[tracer] = [seconds_to_target(result[tracer], key) for key in ("rel_rmse", "own")]
+            cells[tracer] = [result[tracer][f"seconds_to_1%_{key}"] for key in ("rel_rmse", "own")]
         for tracer, times in cells.items():
-            last = result[tracer][-1]
-            row = [result["scene"], result["probes"], tracer, f"{last['rays']:,}",
-                   f"{last['rel_rmse']:.2%}"]
+            last = result[tracer]["counts"][-1]
+            row = [result["scene"], result["probes"], f"{result['reference_stderr']:.2%}", tracer,
+                   f"{last['rays']:,}", f"{last['rel_rmse']:.2%}"]
             for (seconds, mark), (slow, _) in zip(times, cells["cycles"]):
                 row += [f"{mark}{seconds:.3g}", f"{slow / seconds:.1f}"]
             print("|", " | ".join(map(str, row)), "|")
@@ -319,7 +348,7 @@ def main():
     parser.add_argument("scene", nargs="*")
     parser.add_argument("--integrator", action="append", choices=["path", "cached"])
     parser.add_argument("--probes", type=int, default=512)
-    parser.add_argument("--trial", type=int, default=16, help="probes of the agreement, of the width")
+    parser.add_argument("--trial", type=int, default=16, help="probes of agreement and width")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--width", type=int, help="of the panoramas; without, the best is found")
     parser.add_argument("--fine", type=int, default=512, help="width for converged panoramas")

@@ -98,7 +98,8 @@ def load_scene(bpy, job):
     else:
         bpy.ops.import_scene.gltf(filepath=job["scene"], convert_lighting_mode="COMPAT")
     for light in bpy.data.lights:
-        light.angle = 0
+        if light.type == "SUN":
+            light.angle = 0
     for mesh in bpy.data.meshes:
         mesh.use_auto_smooth = False
         mesh.polygons.foreach_set("use_smooth", [False] * len(mesh.polygons))
