@@ -192,7 +192,8 @@ def errors(e, reference, noise):
         a, b, other = (flat(x[first:last], channel) for x in (e, reference, noise))
         mean = [(x + y) / 2 for x, y in zip(b, other)]
         square = mean_square(a, mean) - mean_square(b, other) / 4
-        return math.sqrt(max(0, square)) / statistics.fmean(mean)
+        level = statistics.fmean(mean)  # 0 where no light comes
+        return math.sqrt(max(0, square)) / level if level > 0 else 0.0
 
     own = (max(relative(i, i + 1, c) for c in range(3)) for i in range(len(e)))
     return max(relative(0, len(e), c) for c in range(3)), statistics.median(own)
@@ -291,6 +292,7 @@ def measure(name, setup, args):
     cycles = Cycles(args, scene, env, fronts)
     result = {"scene": name, "probes": args.probes, "threads": args.threads}
     result["agreement"] = agreement(cycles, lumivdb, trial, args)
+    print(f"  {name}: {result['agreement']}", file=sys.stderr)
     cycles.width = args.width or choose_width(
         cycles, trial, references(lumivdb, trial, args.budget / 4), args)
     reference = references(lumivdb, points, args.reference)
