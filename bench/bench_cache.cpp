@@ -62,20 +62,36 @@ bool parse(int argc, char** argv, Settings& s)
         if (!equals) return false;
         const std::string key(argv[i], static_cast<std::size_t>(equals - argv[i]));
         const char* value = equals + 1;
-        if (key == "env") s.environment = value;
-        else if (key == "sun") s.sun = std::atoi(value) != 0;
-        else if (key == "contribution") s.contribution = std::strcmp(value, "direct") == 0 ? Contribution::Direct : std::strcmp(value, "indirect") == 0 ? Contribution::Indirect : Contribution::All;
-        else if (key == "front") s.front = std::atoi(value) != 0;
-        else if (key == "bounds") s.bounds = parseBounds(value);
-        else if (key == "points") s.points = static_cast<std::size_t>(std::atoll(value));
-        else if (key == "threads") s.threads = std::atoi(value);
-        else if (key == "reference") s.referenceRays = std::atoi(value);
-        else if (key == "most") s.most = std::atoi(value);
-        else if (key == "patches") s.cache.patches = static_cast<std::size_t>(std::atoll(value));
-        else if (key == "maxpatches") s.cache.maxPatches = static_cast<std::size_t>(std::atoll(value));
-        else if (key == "rays") s.cache.rays = std::atoi(value);
-        else if (key == "nearness") s.cache.nearness = std::atof(value);
-        else return false;
+        if (key == "env")
+            s.environment = value;
+        else if (key == "sun")
+            s.sun = std::atoi(value) != 0;
+        else if (key == "contribution")
+            s.contribution = std::strcmp(value, "direct") == 0 ? Contribution::Direct
+                : std::strcmp(value, "indirect") == 0          ? Contribution::Indirect
+                                                               : Contribution::All;
+        else if (key == "front")
+            s.front = std::atoi(value) != 0;
+        else if (key == "bounds")
+            s.bounds = parseBounds(value);
+        else if (key == "points")
+            s.points = static_cast<std::size_t>(std::atoll(value));
+        else if (key == "threads")
+            s.threads = std::atoi(value);
+        else if (key == "reference")
+            s.referenceRays = std::atoi(value);
+        else if (key == "most")
+            s.most = std::atoi(value);
+        else if (key == "patches")
+            s.cache.patches = static_cast<std::size_t>(std::atoll(value));
+        else if (key == "maxpatches")
+            s.cache.maxPatches = static_cast<std::size_t>(std::atoll(value));
+        else if (key == "rays")
+            s.cache.rays = std::atoi(value);
+        else if (key == "nearness")
+            s.cache.nearness = std::atof(value);
+        else
+            return false;
     }
     return true;
 }
@@ -119,7 +135,8 @@ Field measure(const Tracer& tracer, const ProbeOptions& options, const std::vect
     tbb::parallel_for(std::size_t{0}, points.size(), [&](std::size_t i) {
         const ProbeResult r = estimator.irradiance(
             points[i], normals, hashCombine(options.seed, i), workspaces.local());
-        std::copy(r.value.begin(), r.value.end(), f.values.begin() + static_cast<long>(i * kNormals));
+        std::copy(
+            r.value.begin(), r.value.end(), f.values.begin() + static_cast<long>(i * kNormals));
         rays[i] = r.rays;
     });
     f.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
@@ -171,8 +188,9 @@ void curve(const char* name, const Tracer& tracer, ProbeOptions options, const S
     for (options.rays = 32; options.rays <= s.most; options.rays *= 2) {
         const Field f = measure(tracer, options, points);
         const auto [rms, mean] = errorOf(f.values, ref);
-        std::printf("%-7s %6d rays  %8.3f ms a point  %6.1f Mrays/s  rel_rmse %7.3f%%  mean %+.3f%%\n", name,
-            options.rays, f.seconds * 1e3 / static_cast<double>(points.size()),
+        std::printf(
+            "%-7s %6d rays  %8.3f ms a point  %6.1f Mrays/s  rel_rmse %7.3f%%  mean %+.3f%%\n",
+            name, options.rays, f.seconds * 1e3 / static_cast<double>(points.size()),
             static_cast<double>(f.rays) / f.seconds * 1e-6, 100 * rms, 100 * mean);
         std::fflush(stdout);
     }
@@ -207,7 +225,8 @@ int run(int argc, char** argv)
     }
     const RadianceCacheReport& r = solved->report();
     std::printf("%s: %zu points, %d threads\n", s.scene.c_str(), points.size(), s.threads);
-    std::printf("cache: %.3f s, %zu patches (%zu mixed)%s, %.2f M rays, %.1f MiB, %d iterations, residual %.1e\n",
+    std::printf("cache: %.3f s, %zu patches (%zu mixed)%s, %.2f M rays, %.1f MiB, %d iterations, "
+                "residual %.1e\n",
         r.seconds, r.patches, r.mixed, r.full ? " FULL" : "", static_cast<double>(r.rays) * 1e-6,
         static_cast<double>(r.bytes) / 1048576.0, r.iterations, r.residual);
     ProbeOptions path, plain;
@@ -232,13 +251,6 @@ int run(int argc, char** argv)
     cached.seed = 12;
     const Reference many = referenceOf(c, measure(tracer, cached, points));
     const auto [rms, mean] = errorOf(many.values, ref);
-    if (getenv("WORST")) {
-        std::vector<std::pair<double,std::size_t>> w;
-        for (std::size_t i=0;i<points.size();++i) { double e=0; for(int k=0;k<kNormals;++k) e+=std::pow((many.values[i*kNormals+k]-ref.values[i*kNormals+k]).x,2); w.push_back({std::sqrt(e/kNormals)/ref.mean.x,i}); }
-        std::sort(w.rbegin(), w.rend());
-        for (int j=0;j<6;++j) { auto i=w[j].second; double m=0,a2=0,b2=0; for(int k=0;k<kNormals;++k) m+=ref.values[i*kNormals+k].x/kNormals, a2+=many.values[i*kNormals+k].x/kNormals, b2+=c.values[i*kNormals+k].x/kNormals;
-          std::printf("  worst %.2f%% at %g %g %g, E %g cached %g (%g)\n",100*w[j].first,points[i].x,points[i].y,points[i].z,m,a2,b2);}
-    }
     double own = 0;
     for (int k = 0; k < 3; ++k) {
         if (ref.mean[k] > 0) own = std::max(own, std::sqrt(many.noise2[k]) / ref.mean[k]);

@@ -85,7 +85,8 @@ public:
     /// For each of @a points one sample of the light it receives: result.uniform[i] is what arrives
     /// straight from emitters and lights, E/π, result.emitter[i] the lights' (punctual) part of it,
     /// result.backFace[i] that its ray met the back of a single-sided surface (the point probably
-    /// lies inside of a solid), and what a cosine-distributed ray met is among seen(), in order. count ≤ kBatch.
+    /// lies inside of a solid), and what a cosine-distributed ray met is among seen(), in order.
+    /// count ≤ kBatch.
     void gather(
         const SurfacePoint* points, const GatherDraw* draws, int count, PathBatchResult& result);
     /// What the rays of gather() met and reflects light: the point it came from, and where it met.
