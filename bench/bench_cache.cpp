@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-/// Time against error of both integrators at the same points of free space, and the cache's bias:
+/// Processor time against error of both integrators at the same points of free space, and the
+/// cache's bias:
 /// lumivdb_bench_cache SCENE [key=value ...], see usage().
 
 #include <lumivdb/bake/bake.h>
@@ -13,11 +14,11 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <ctime>
 #include <sstream>
 
 using namespace lumivdb;
@@ -32,7 +33,7 @@ struct Settings {
     Contribution contribution = Contribution::All;
     Box3d bounds;
     std::size_t points = 200;
-    int referenceRays = 8192, threads = 1, most = 1024;
+    int referenceRays = 8192, threads = 1, most = 2048, repeats = 3;
     RadianceCacheOptions cache;
 };
 
@@ -40,7 +41,8 @@ int usage(const char* program)
 {
     std::fprintf(stderr,
         "usage: %s SCENE [env=FILE] [sun=1] [bounds=x,y,z,x,y,z] [points=200] [threads=1]\n"
-        "  [reference=8192 rays a point, twice] [most=1024 rays a point]\n"
+        "  [reference=8192 rays a point, twice] [most=2048 rays a point] [repeats=3]\n  [front=1: "
+        "lamps shine to their front] [contribution=all|direct|indirect]\n"
         "  [patches=N] [rays=N a patch] [nearness=R] [maxpatches=N]\n",
         program);
     return 2;
@@ -78,6 +80,8 @@ bool parse(int argc, char** argv, Settings& s)
             s.points = static_cast<std::size_t>(std::atoll(value));
         else if (key == "threads")
             s.threads = std::atoi(value);
+        else if (key == "repeats")
+            s.repeats = std::atoi(value);
         else if (key == "reference")
             s.referenceRays = std::atoi(value);
         else if (key == "most")
@@ -116,6 +120,9 @@ std::vector<Vec3d> freePoints(const Tracer& tracer, const Box3d& box, std::size_
     return points;
 }
 
+/// Of all threads: what else the machine does shows little in it.
+double processorSeconds() { return static_cast<double>(std::clock()) / CLOCKS_PER_SEC; }
+
 /// Irradiance at all points for all normals, and how long it took.
 struct Field {
     std::vector<Color> values; // [point * kNormals + normal]
@@ -131,7 +138,7 @@ Field measure(const Tracer& tracer, const ProbeOptions& options, const std::vect
     Field f;
     f.values.resize(points.size() * kNormals);
     std::vector<std::uint64_t> rays(points.size());
-    const auto start = std::chrono::steady_clock::now();
+    const double start = processorSeconds();
     tbb::parallel_for(std::size_t{0}, points.size(), [&](std::size_t i) {
         const ProbeResult r = estimator.irradiance(
             points[i], normals, hashCombine(options.seed, i), workspaces.local());
@@ -139,7 +146,7 @@ Field measure(const Tracer& tracer, const ProbeOptions& options, const std::vect
             r.value.begin(), r.value.end(), f.values.begin() + static_cast<long>(i * kNormals));
         rays[i] = r.rays;
     });
-    f.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    f.seconds = processorSeconds() - start;
     for (const std::uint64_t r : rays) f.rays += r;
     return f;
 }
@@ -182,17 +189,60 @@ std::pair<double, double> errorOf(const std::vector<Color>& values, const Refere
     return {rms, mean};
 }
 
-void curve(const char* name, const Tracer& tracer, ProbeOptions options, const Settings& s,
-    const std::vector<Vec3d>& points, const Reference& ref)
+/// One point of a curve: seconds of one probe, relative RMS error of all.
+struct Cost {
+    double rays, seconds, error;
+};
+
+std::vector<Cost> curve(const char* name, const Tracer& tracer, ProbeOptions options,
+    const Settings& s, const std::vector<Vec3d>& points, const Reference& ref)
 {
+    std::vector<Cost> costs;
     for (options.rays = 32; options.rays <= s.most; options.rays *= 2) {
-        const Field f = measure(tracer, options, points);
+        Field f = measure(tracer, options, points);
         const auto [rms, mean] = errorOf(f.values, ref);
+        for (int again = 1; again < s.repeats; ++again) {
+            f.seconds = std::min(f.seconds, measure(tracer, options, points).seconds);
+        }
+        const double seconds = f.seconds / static_cast<double>(points.size());
         std::printf(
             "%-7s %6d rays  %8.3f ms a point  %6.1f Mrays/s  rel_rmse %7.3f%%  mean %+.3f%%\n",
-            name, options.rays, f.seconds * 1e3 / static_cast<double>(points.size()),
-            static_cast<double>(f.rays) / f.seconds * 1e-6, 100 * rms, 100 * mean);
+            name, options.rays, seconds * 1e3, static_cast<double>(f.rays) / f.seconds * 1e-6,
+            100 * rms, 100 * mean);
         std::fflush(stdout);
+        costs.push_back({static_cast<double>(options.rays), seconds, rms});
+    }
+    return costs;
+}
+
+/// Seconds of one probe at @a error: between the measured counts, or beyond them (@a beyond) along
+/// the line of the last four, in logarithms.
+double secondsAt(const std::vector<Cost>& costs, double error, bool& beyond)
+{
+    const auto line = [&](const Cost& a, const Cost& b) {
+        const double t = std::log(error / a.error) / std::log(b.error / a.error);
+        return a.seconds * std::pow(b.seconds / a.seconds, t);
+    };
+    beyond = false;
+    for (std::size_t i = 1; i < costs.size(); ++i) {
+        if (costs[i].error <= error) return line(costs[i - 1], costs[i]);
+    }
+    beyond = true;
+    return line(costs[costs.size() - std::min<std::size_t>(costs.size(), 4)], costs.back());
+}
+
+void compare(const std::vector<Cost>& path, const std::vector<Cost>& cached, double solve)
+{
+    for (const double error : {0.05, 0.02, 0.01}) {
+        bool pathBeyond, cachedBeyond;
+        const double p = secondsAt(path, error, pathBeyond);
+        const double c = secondsAt(cached, error, cachedBeyond);
+        std::printf("to %.0f%%: path %s%.3f ms, cached %s%.3f ms a point: %.1fx;", 100 * error,
+            pathBeyond ? "~" : "", 1e3 * p, cachedBeyond ? "~" : "", 1e3 * c, p / c);
+        for (const double samples : {512.0, 4096.0, 32768.0}) {
+            std::printf(" %.0f samples, solving included %.1fx%s", samples,
+                samples * p / (solve + samples * c), samples < 30000 ? "," : "\n");
+        }
     }
 }
 
@@ -218,16 +268,18 @@ int run(int argc, char** argv)
     const std::vector<Vec3d> points = freePoints(tracer, box, s.points);
     const RadianceCache* solved = nullptr;
     ProbeOptions cached;
+    double solve = processorSeconds();
     {
         auto cache = std::make_shared<const RadianceCache>(tracer, s.cache);
         solved = cache.get();
         cached.cache = std::move(cache);
     }
+    solve = processorSeconds() - solve;
     const RadianceCacheReport& r = solved->report();
     std::printf("%s: %zu points, %d threads\n", s.scene.c_str(), points.size(), s.threads);
     std::printf("cache: %.3f s, %zu patches (%zu mixed)%s, %.2f M rays, %.1f MiB, %d iterations, "
                 "residual %.1e\n",
-        r.seconds, r.patches, r.mixed, r.full ? " FULL" : "", static_cast<double>(r.rays) * 1e-6,
+        solve, r.patches, r.mixed, r.full ? " FULL" : "", static_cast<double>(r.rays) * 1e-6,
         static_cast<double>(r.bytes) / 1048576.0, r.iterations, r.residual);
     ProbeOptions path, plain;
     path.contribution = cached.contribution = plain.contribution = s.contribution;
@@ -242,8 +294,8 @@ int run(int argc, char** argv)
     }
     std::printf("reference: 2 x %d paths, noise %.3f%%, %.3f ms a point each\n", s.referenceRays,
         100 * noise, a.seconds * 1e3 / static_cast<double>(points.size()));
-    curve("path", tracer, plain, s, points, ref);
-    curve("cached", tracer, cached, s, points, ref);
+    const std::vector<Cost> pathCosts = curve("path", tracer, plain, s, points, ref);
+    compare(pathCosts, curve("cached", tracer, cached, s, points, ref), solve);
     // The bias: two independent sets of many directions, whose common part is the bias.
     cached.rays = 8192;
     cached.seed = 11;

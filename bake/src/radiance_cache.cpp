@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <lumivdb/bake/radiance_cache.h>
 
+#include "direct_light.h"
 #include "directions.h"
 #include "path.h"
 #include "surface_patches.h"
@@ -30,61 +31,9 @@ constexpr int kLeast = 8;
 constexpr int kRounds = 2;
 /// Scouts that must come near a patch before it is divided.
 constexpr std::uint32_t kEnough = 4;
-/// Direct light differs between a patch's quarters by this share of its mean: divided, or mixed.
-constexpr double kContrast = 0.5;
-/// The same as a share of the scene's mean, below which nobody will notice.
-constexpr double kContrastOfScene = 0.1;
 /// Patches are not divided for contrast below this share of the size they began with.
 constexpr float kSmallest = 1 / 8.0f;
 constexpr int kMaxIterations = 10000;
-
-/// Direct light at places of a patch.
-struct Direct {
-    double sum[4] = {}, squares[4] = {}; ///< by quarter of the patch
-    int count[4] = {};
-    double lowest = 1e300, highest = 0; ///< of what has no noise: lights without size
-
-    void add(int quarter, double value, double punctual)
-    {
-        sum[quarter] += value;
-        squares[quarter] += value * value;
-        ++count[quarter];
-        lowest = std::min(lowest, punctual);
-        highest = std::max(highest, punctual);
-    }
-    int samples() const { return count[0] + count[1] + count[2] + count[3]; }
-    double mean() const
-    {
-        return samples() > 0 ? (sum[0] + sum[1] + sum[2] + sum[3]) / samples() : 0;
-    }
-    double deviation() const
-    {
-        const int n = samples();
-        if (n < 2) return 0;
-        const double m = mean();
-        const double square = squares[0] + squares[1] + squares[2] + squares[3];
-        return std::sqrt(std::max(0.0, square / n - m * m) * n / (n - 1));
-    }
-    /// Difference between the brightest quarter and the darkest, two standard errors taken off.
-    double contrast() const
-    {
-        double low = 1e300, high = -1e300, lowVariance = 0, highVariance = 0;
-        for (int q = 0; q < 4; ++q) {
-            if (count[q] < 2) continue;
-            const double n = count[q], m = sum[q] / n;
-            const double variance = std::max(0.0, squares[q] / n - m * m) / (n - 1);
-            if (m < low) low = m, lowVariance = variance;
-            if (m > high) high = m, highVariance = variance;
-        }
-        return std::max(0.0, high - low - 2 * std::sqrt(lowVariance + highVariance));
-    }
-    bool changes(double sceneMean) const
-    {
-        const double least = kContrastOfScene * sceneMean;
-        return contrast() > std::max(kContrast * mean(), least)
-            || highest - lowest > std::max(kContrast * highest, least);
-    }
-};
 
 /// A ray that met a patch longer than the allowed share of its length.
 struct Near {
@@ -242,9 +191,9 @@ private:
         }
     }
 
-    Direct directOf(Id id, int first, int rays, const Worker& w) const
+    DirectLight directOf(Id id, int first, int rays, const Worker& w) const
     {
-        Direct d;
+        DirectLight d;
         for (int k = first; k < first + rays; ++k) {
             d.add(mPatches->quarterOf(id, w.points[k].position),
                 static_cast<double>(luminance(w.batch->uniform[k])),
@@ -258,7 +207,7 @@ private:
         std::vector<Id> fresh = undivided();
         limitPieces(fresh.size());
         for (int round = 0; round < kRounds && !fresh.empty() && !mReport.full; ++round) {
-            std::vector<Direct> direct(fresh.size());
+            std::vector<DirectLight> direct(fresh.size());
             std::vector<std::vector<Near>> near(fresh.size());
             const auto scouts = [&](std::size_t i) { return scoutsOf(fresh[i]); };
             sample(fresh, scouts, [&](std::size_t i, Worker& w, int at, auto seen, auto end) {
@@ -301,7 +250,7 @@ private:
                 + ": the scene's triangles do not hang together. Use the path integrator.");
     }
 
-    void meanDirect(const std::vector<Id>& ids, const std::vector<Direct>& direct)
+    void meanDirect(const std::vector<Id>& ids, const std::vector<DirectLight>& direct)
     {
         double sum = 0, area = 0;
         for (std::size_t i = 0; i < ids.size(); ++i) {

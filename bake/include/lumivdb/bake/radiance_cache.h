@@ -32,8 +32,8 @@ struct RadianceCacheOptions {
     int maxBounces = -1; ///< as ProbeOptions::maxBounces
     std::uint64_t seed = 1;
     std::size_t patches = 16384; ///< about how many to begin with, by area; 64 … 2^24
-    std::size_t maxPatches = std::size_t{1} << 20; ///< dividing stops there: 1 KiB each
-    int rays = 64; ///< per patch
+    std::size_t maxPatches = std::size_t{1} << 20; ///< dividing stops there; about 300 bytes each
+    int rays = 128; ///< of a patch of that size; smaller ones send fewer, 8 at least
     double nearness = 0.5; ///< patches are divided where longer than this share of a ray to them
     double residual = 1e-5; ///< of the solution: Σ|E − D − TE| / Σ E, by area
     /// @throws Error(Usage) naming the field, its value and the range.
