@@ -103,6 +103,14 @@ std::string differences(const std::string& there, const std::string& now)
     return text;
 }
 
+/// Whether the file begins like something else. A header torn at any place is ours.
+bool isForeign(int fd)
+{
+    char begin[sizeof kHeaderMagic];
+    const ssize_t n = ::pread(fd, begin, sizeof begin, 0);
+    return n < 0 || std::memcmp(begin, &kHeaderMagic, static_cast<std::size_t>(n)) != 0;
+}
+
 } // namespace
 
 std::size_t SampleJournal::KeyHash::operator()(const Key& key) const
@@ -168,7 +176,7 @@ bool SampleJournal::open()
         }
         if (::stat(mPath.c_str(), &named) == 0 && named.st_ino == opened.st_ino
             && named.st_dev == opened.st_dev) {
-            if (isForeign()) return giveUp("is a file of another kind");
+            if (isForeign(mFd)) return giveUp("is a file of another kind");
             return true;
         }
         ::close(mFd);
@@ -176,14 +184,6 @@ bool SampleJournal::open()
     mFd = -1;
     warn("cannot be locked", without);
     return false;
-}
-
-/// Whether the file begins like something else. A header torn at any place is ours.
-bool SampleJournal::isForeign() const
-{
-    char begin[sizeof kHeaderMagic];
-    const ssize_t n = ::pread(mFd, begin, sizeof begin, 0);
-    return n < 0 || std::memcmp(begin, &kHeaderMagic, static_cast<std::size_t>(n)) != 0;
 }
 
 /// Empties the file and writes the header.
@@ -374,7 +374,7 @@ void removeJournal(const std::string& path)
 {
     const int fd = ::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NONBLOCK);
     if (fd < 0) return;
-    if (::flock(fd, LOCK_EX | LOCK_NB) == 0) ::unlink(path.c_str());
+    if (::flock(fd, LOCK_EX | LOCK_NB) == 0 && !isForeign(fd)) ::unlink(path.c_str());
     ::close(fd);
 }
 

@@ -82,7 +82,6 @@ private:
     };
     bool open();
     bool lock();
-    bool isForeign() const;
     void begin(const std::string& header);
     bool goOn(const std::string& header);
     bool readBlock(std::uint32_t magic, std::uint64_t offset, std::vector<char>& payload) const;
