@@ -2,6 +2,7 @@
 /// lumivdb bake: a scene in, an irradiance volume out.
 
 #include "numbers.h"
+#include "output.h"
 #include "volume_command.h"
 
 #include <lumivdb/bake/bake.h>
@@ -32,6 +33,8 @@ private:
     double traceSeconds(const Seconds& seconds) const;
     void summarise(const Seconds& seconds) const override;
     Json report(const Scene& scene, const Seconds& seconds) const override;
+    void written() override;
+    std::string afterError(ErrorCode code) const override;
     void judge() const override;
 
     BakeOptions mBake;
@@ -194,6 +197,12 @@ void BakeCommand::declareTracing(Arguments& arguments)
 
 void BakeCommand::declareOther(Arguments& arguments)
 {
+    arguments.section("Output");
+    arguments.flag("--resume", mBake.resume,
+        "go on with a bake that was interrupted or killed: takes from OUT.vdb.journal, which every "
+        "bake keeps until its volume is written, what was traced already, and ends in the same "
+        "bytes; any --threads");
+    arguments.neutral();
     declareOutput(arguments, "report: samples, rays, seconds, decisions, warnings");
     arguments.example("lumivdb bake room.glb -o room.vdb",
         "everything by default: spacing from the scene, 3 bands, 1024 rays a sample");
@@ -221,6 +230,7 @@ BakeOptions BakeCommand::bakeOptions(const Arguments& arguments) const
     options.spacing = mSpacing.value_or(0);
     options.lightGroup = mScene.lightGroup;
     options.commandLine = arguments.commandLine();
+    options.journal = mOutput.path + ".journal";
     options.threads = mCommon.threads;
     const bool refines = arguments.given("--refine") || arguments.given("--refine-threshold");
     if (refines && !arguments.given("--levels")) options.levels = -1;
@@ -251,6 +261,15 @@ void BakeCommand::prepare(const Arguments& arguments)
 
 BakeCommand::Made BakeCommand::make(const Tracer& tracer, Progress& progress)
 {
+    const bool there = fileBytes(mBake.journal) > 0;
+    const std::string named = "'" + mBake.journal + "'";
+    if (mBake.resume) {
+        mCommon.console.note(there ? "Going on from " + named + "."
+                                   : "There is no " + named + " to go on from: starting anew.");
+    } else if (there) {
+        mCommon.console.note(
+            named + " of an earlier bake is not used; --resume would have gone on from it.");
+    }
     mResult = bakeVolume(tracer, mBake, &progress);
     const BakeReport& baked = mResult->report;
     return {mResult->volume, baked.warnings, baked.decisions, baked.spacing};
@@ -285,6 +304,7 @@ Json BakeCommand::report(const Scene& scene, const Seconds& seconds) const
     Json json;
     json["samples"] = baked.samples;
     json["traced_samples"] = baked.tracedSamples;
+    json["journal_samples"] = baked.journalSamples;
     json["cells_by_level"] = baked.cellsByLevel;
     json["rays"] = baked.rays;
     json["rays_per_second"] = baked.raysPerSecond;
@@ -309,6 +329,10 @@ void BakeCommand::summarise(const Seconds& seconds) const
     const BakeReport& baked = mResult->report;
     const Console& console = mCommon.console;
     noteLevels(baked.cellsByLevel);
+    if (mBake.resume) {
+        console.note(
+            grouped(baked.journalSamples) + " samples were taken from the journal, not traced.");
+    }
     if (baked.achieved.points > 0) {
         console.note("Error: " + rounded(100 * baked.achieved.relRmse, 3) + "%, at most "
             + rounded(100 * baked.achieved.upper, 3) + "% with "
@@ -324,6 +348,15 @@ void BakeCommand::summarise(const Seconds& seconds) const
             + humanSeconds(traceSeconds(seconds)) + ", refine " + humanSeconds(baked.secondsRefine)
             + ", verify " + humanSeconds(baked.secondsVerify) + ", write "
             + humanSeconds(seconds.write));
+}
+
+void BakeCommand::written() { removeJournal(mBake.journal); }
+
+std::string BakeCommand::afterError(ErrorCode code) const
+{
+    const bool later = code == ErrorCode::Interrupted || code == ErrorCode::Output;
+    if (!later || fileBytes(mBake.journal) == 0) return "";
+    return " What was traced is in '" + mBake.journal + "': go on with --resume.";
 }
 
 void BakeCommand::judge() const

@@ -72,6 +72,20 @@ void VolumeCommand::run(const Arguments& arguments)
     const Tracer tracer(scene, &progress);
     throwIfInterrupted();
     seconds.build = watch.restart();
+    const Made made = makeAndWrite(arguments, tracer, progress, seconds);
+    progress.finish();
+
+    mCommon.console.warn(made.warnings);
+    for (const std::string& decision : made.decisions) mCommon.console.note(decision);
+    summarise(seconds);
+    mCommon.writeJson(report(*scene, seconds));
+    judge();
+}
+
+VolumeCommand::Made VolumeCommand::makeAndWrite(
+    const Arguments& arguments, const Tracer& tracer, ProgressBar& progress, Seconds& seconds)
+try {
+    Stopwatch watch;
     const Made made = make(tracer, progress);
     seconds.make = watch.restart();
     VolumeMetadata& metadata = made.volume.metadata();
@@ -83,13 +97,10 @@ void VolumeCommand::run(const Arguments& arguments)
     }
     mOutput.write(made.volume, progress);
     seconds.write = watch.restart();
-    progress.finish();
-
-    mCommon.console.warn(made.warnings);
-    for (const std::string& decision : made.decisions) mCommon.console.note(decision);
-    summarise(seconds);
-    mCommon.writeJson(report(*scene, seconds));
-    judge();
+    written();
+    return made;
+} catch (const Error& e) {
+    throw Error(e.code(), e.what() + afterError(e.code()));
 }
 
 } // namespace lumivdb::cli

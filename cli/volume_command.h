@@ -38,6 +38,10 @@ protected:
     virtual bool spacingFromScene(const Arguments& arguments) const = 0;
     virtual void summarise(const Seconds& seconds) const = 0;
     virtual Json report(const Scene& scene, const Seconds& seconds) const = 0;
+    /// The file is in its place.
+    virtual void written() { }
+    /// Sentence to add to an error that ended the work, "" or with a blank before it.
+    virtual std::string afterError(ErrorCode /*code*/) const { return ""; }
     /// Last of all. @throws Error where the volume is not what was asked for.
     virtual void judge() const { }
 
@@ -51,6 +55,8 @@ protected:
     VolumeOutput mOutput;
 
 private:
+    Made makeAndWrite(
+        const Arguments& arguments, const Tracer& tracer, ProgressBar& progress, Seconds& seconds);
     std::string mUpAxis = "y";
 };
 

@@ -94,6 +94,13 @@ IrradianceVolume bakeUniform(const Tracer& tracer, const BakeOptions& options, c
     return volume;
 }
 
+void tell(SampleJournal& journal, BakeReport& report)
+{
+    journal.flush();
+    report.journalSamples = journal.taken();
+    for (const std::string& warning : journal.warnings()) report.warnings.push_back(warning);
+}
+
 [[noreturn]] void refuse(const std::string& sentence) { throw Error(ErrorCode::Usage, sentence); }
 
 } // namespace
@@ -150,9 +157,11 @@ BakeResult bakeVolume(const Tracer& tracer, const BakeOptions& options, Progress
     Progress silent;
     Progress& talk = progress ? *progress : silent;
     BakeReport report;
+    const std::unique_ptr<SampleJournal> journal = openJournal(options, tracer.scene());
     std::optional<IrradianceVolume> volume;
     withThreads(options.threads, [&] {
-        const BakePlan plan = planBake(tracer, options, report, talk);
+        BakePlan plan = planBake(tracer, options, report, talk);
+        plan.samples.journal = journal.get();
         volume.emplace(plan.levels == 0 ? bakeUniform(tracer, options, plan, report, talk)
                                         : bakeAdaptive(tracer, options, plan, report, talk));
     });
@@ -165,9 +174,11 @@ BakeResult bakeVolume(const Tracer& tracer, const BakeOptions& options, Progress
     m.sceneHash = tracer.scene().contentHash;
     report.samples = volume->sampleCount();
     for (std::size_t n : volume->cellsByLevel()) report.cellsByLevel.push_back(n);
+    const std::uint64_t traced = report.rays - (journal ? journal->takenRays() : 0);
     report.raysPerSecond
-        = report.secondsTrace > 0 ? static_cast<double>(report.rays) / report.secondsTrace : 0;
+        = report.secondsTrace > 0 ? static_cast<double>(traced) / report.secondsTrace : 0;
     report.spacing = volume->spacing();
+    if (journal) tell(*journal, report);
     return {std::move(*volume), std::move(report)};
 }
 

@@ -15,6 +15,7 @@
 #include <array>
 #include <atomic>
 #include <cmath>
+#include <cstring>
 
 namespace lumivdb {
 
@@ -36,6 +37,30 @@ std::array<double, kMaxCoefficients> irradianceWeights()
     return w;
 }
 
+/// What the journal calls samples of these settings.
+SampleJournal::Kind kindOf(const SampleSettings& settings)
+{
+    // Taken apart, so that a new member does not compile before it has found its place here.
+    const auto& [probe, bands, gradients, spacing, gradientReach, journal] = settings;
+    const auto& [rays, maxBounces, contribution, seed] = probe;
+    static_cast<void>(journal);
+    const auto bits = [](double v) {
+        std::uint64_t u;
+        std::memcpy(&u, &v, sizeof u);
+        return u;
+    };
+    SampleJournal::Kind kind;
+    for (const std::uint64_t part :
+        {static_cast<std::uint64_t>(rays), static_cast<std::uint64_t>(maxBounces),
+            static_cast<std::uint64_t>(contribution), seed, static_cast<std::uint64_t>(bands),
+            static_cast<std::uint64_t>(gradients), bits(spacing), bits(gradientReach)}) {
+        kind.settings = hashCombine(kind.settings, part);
+    }
+    kind.values = static_cast<std::uint32_t>(coefficientCount(bands));
+    kind.gradients = gradients == GradientMethod::None ? 0 : 3 * kind.values;
+    return kind;
+}
+
 } // namespace
 
 Vec3d irradianceNorm2(int bands, const Color* d)
@@ -54,6 +79,7 @@ SampleBaker::SampleBaker(const Tracer& tracer, const SampleSettings& settings)
     , mSettings(settings)
     , mClearance(kOnSurface * settings.spacing)
     , mEstimator(tracer, settings.probe)
+    , mKind(kindOf(settings))
 {
     const Box3d bounds = tracer.scene().bounds();
     if (!bounds.isEmpty()) {
@@ -63,6 +89,16 @@ SampleBaker::SampleBaker(const Tracer& tracer, const SampleSettings& settings)
 }
 
 BakedSample SampleBaker::bake(const Coord& c, ProbeEstimator::Workspace& workspace) const
+{
+    SampleJournal* journal = mSettings.journal;
+    BakedSample sample;
+    if (journal && journal->take(mKind, c, sample)) return sample;
+    sample = trace(c, workspace);
+    if (journal) journal->add(mKind, c, sample);
+    return sample;
+}
+
+BakedSample SampleBaker::trace(const Coord& c, ProbeEstimator::Workspace& workspace) const
 {
     const std::uint64_t key = hashPoint(mSettings.probe.seed, c.x, c.y, c.z);
     const bool analytic = mSettings.gradients == GradientMethod::Analytic;

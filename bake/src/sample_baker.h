@@ -4,6 +4,8 @@
 /// @file sample_baker.h
 /// One sample of a volume: a lattice point in, its record out.
 
+#include "sample_journal.h"
+
 #include <lumivdb/bake/probe.h>
 #include <lumivdb/core/volume.h>
 
@@ -18,6 +20,7 @@ struct SampleSettings {
     double spacing = 1; ///< of the lattice
     /// How far gradients will be used, see gradientFactor(); 0: not yet known, they stay whole.
     double gradientReach = 0;
+    SampleJournal* journal = nullptr; ///< where samples are kept and taken from; null: nowhere
 };
 
 struct BakedSample {
@@ -33,6 +36,8 @@ public:
     /// The record of lattice point @a c. The same point, settings and scene give the same bits. A
     /// point on a surface is moved off it, one inside geometry out of it where that is near.
     BakedSample bake(const Coord& c, ProbeEstimator::Workspace& workspace) const;
+    /// The same, and never from the journal.
+    BakedSample trace(const Coord& c, ProbeEstimator::Workspace& workspace) const;
     Vec3d world(const Coord& c) const { return Vec3d(c.x, c.y, c.z) * mSettings.spacing; }
     const SampleSettings& settings() const { return mSettings; }
 
@@ -43,6 +48,7 @@ private:
     SampleSettings mSettings;
     double mClearance; // distance kept from surfaces, world units
     ProbeEstimator mEstimator;
+    SampleJournal::Kind mKind;
 };
 
 /// Bakes every sample of @a volume's topology and hands each to @a store, which any thread calls,

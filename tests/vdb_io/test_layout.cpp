@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "vdb_test.h"
 
-#include "../../vdb_io/src/xxhash64.h"
+#include <lumivdb/core/xxhash64.h>
 
 #include <lumivdb/core/sampler.h>
 #include <lumivdb/core/volume_grid.h>

@@ -4,7 +4,7 @@
 /// @file atomic_file.h
 /// A file that appears whole or not at all.
 
-#include "xxhash64.h"
+#include <lumivdb/core/xxhash64.h>
 
 #include <lumivdb/core/progress.h>
 

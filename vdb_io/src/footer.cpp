@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "footer.h"
 
-#include "xxhash64.h"
+#include <lumivdb/core/xxhash64.h>
 
 #include <lumivdb/core/error.h>
 #include <lumivdb/vdb_io/volume_file.h>

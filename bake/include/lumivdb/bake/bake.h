@@ -40,6 +40,10 @@ struct BakeOptions {
     std::string lightGroup; ///< stored in the metadata; see selectLightGroup()
     std::string commandLine; ///< stored in the metadata
     int threads = 0; ///< 0: all cores
+    /// File that keeps the samples traced, so that a bake that was killed can go on; "": none. It
+    /// stays when the bake is done, see removeJournal().
+    std::string journal;
+    bool resume = false; ///< take from the journal what an earlier bake left there
     /// @throws Error(Usage) naming the field, its value and the range.
     void validate() const;
 };
@@ -63,6 +67,7 @@ struct BakeReport {
     std::vector<std::uint64_t> cellsByLevel;
     std::uint64_t rays = 0; ///< shadow rays included
     std::uint64_t tracedSamples = 0; ///< tests and what was merged again included
+    std::uint64_t journalSamples = 0; ///< those that were not traced but taken from the journal
     double raysPerSecond = 0;
     double secondsTrace = 0, secondsRefine = 0, secondsVerify = 0;
     double spacing = 0; ///< the one used
@@ -95,9 +100,18 @@ double defaultSpacing(const Box3d& sceneBounds);
 /// round by round, until the error at fresh random points, with its confidence, is within the
 /// target. Points are drawn half evenly, half where the bake thinks it is wrong, and weighed
 /// accordingly. Where it cannot be met, the report says so and the volume is what was reached.
-/// @throws Error(Usage) for bad options or more than 2³¹ samples; Error(Interrupted).
+///
+/// With a journal, a bake that was interrupted or killed at any moment goes on where it was, with
+/// BakeOptions::resume, and makes the same volume, bit for bit, on any number of threads. Only
+/// samples are kept: pilot probes, and points that prove a target, are traced again. A journal that
+/// cannot be written, or that another running bake holds, is done without; the report warns.
+/// @throws Error(Usage) for bad options, more than 2³¹ samples or a journal of another bake;
+/// Error(Interrupted).
 BakeResult bakeVolume(
     const Tracer& tracer, const BakeOptions& options, Progress* progress = nullptr);
+
+/// Deletes the journal of a bake whose volume is in its place; not one that a running bake holds.
+void removeJournal(const std::string& path);
 
 /// A point that lies on a surface (within half of @a clearance, world units) has two answers, on an
 /// edge four, in a corner eight. Returns a place @a clearance off all of them: the one that sees

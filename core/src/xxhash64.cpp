@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "xxhash64.h"
+#include <lumivdb/core/xxhash64.h>
 
 #include <algorithm>
 #include <cstring>

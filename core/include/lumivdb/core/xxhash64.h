@@ -2,7 +2,7 @@
 #pragma once
 
 /// @file xxhash64.h
-/// The 64-bit checksum of a volume file: XXH64 with seed 0, so that `xxhsum -H1` and the xxhash
+/// The 64-bit checksum of files: XXH64 with seed 0, so that `xxhsum -H1` and the xxhash
 /// modules of other languages can verify it (specification: Collet, "xxHash fast digest
 /// algorithm").
 

@@ -1,0 +1,357 @@
+// SPDX-License-Identifier: Apache-2.0
+// The journal of samples: what it gives back, what damage costs, and bakes that go on with it.
+
+#include "bake_makers.h"
+
+#include "../../bake/src/sample_baker.h"
+#include "../../bake/src/sample_journal.h"
+
+#include <catch2/catch.hpp>
+
+#include <atomic>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <limits>
+
+using namespace lumivdb;
+using namespace lumivdb::test;
+namespace fs = std::filesystem;
+
+namespace {
+
+using Start = SampleJournal::Start;
+
+/// A folder that goes with the test.
+class Folder {
+public:
+    Folder()
+    {
+        std::string name = (fs::temp_directory_path() / "lumivdb_journal_XXXXXX").string();
+        REQUIRE(::mkdtemp(name.data()) != nullptr);
+        mPath = name;
+    }
+    ~Folder() { fs::remove_all(mPath); }
+    Folder(const Folder&) = delete;
+    Folder& operator=(const Folder&) = delete;
+    std::string file(const std::string& name) const { return (mPath / name).string(); }
+
+private:
+    fs::path mPath;
+};
+
+std::string contentOf(const std::string& path)
+{
+    std::ifstream file(path, std::ios::binary);
+    return {std::istreambuf_iterator<char>(file), {}};
+}
+
+void write(const std::string& path, const std::string& content)
+{
+    std::ofstream(path, std::ios::binary) << content;
+}
+
+/// A sample whose every number depends on @a seed.
+BakedSample madeSample(float seed, std::size_t values, std::size_t gradients)
+{
+    BakedSample s;
+    float next = seed;
+    const auto color = [&] {
+        next += 0.25f;
+        return Color(next, -next, 1 / next);
+    };
+    for (std::size_t i = 0; i < values; ++i) s.result.value.push_back(color());
+    for (std::size_t i = 0; i < values; ++i) s.result.stderr_.push_back(color());
+    for (std::size_t i = 0; i < gradients; ++i) s.result.gradient.push_back(color());
+    s.result.validity = seed / 1000;
+    s.result.distance = std::numeric_limits<float>::infinity();
+    s.result.minDistance = seed + 3;
+    s.result.rays = 1000 + static_cast<std::uint64_t>(seed);
+    s.offset = color();
+    s.variance = color();
+    s.rays = 2000 + static_cast<std::uint64_t>(seed);
+    return s;
+}
+
+bool same(const BakedSample& a, const BakedSample& b)
+{
+    const ProbeResult &r = a.result, &s = b.result;
+    return r.value == s.value && r.stderr_ == s.stderr_ && r.gradient == s.gradient
+        && r.validity == s.validity && r.distance == s.distance && r.minDistance == s.minDistance
+        && r.rays == s.rays && a.offset == b.offset && a.variance == b.variance && a.rays == b.rays;
+}
+
+constexpr int kSamples = 6;
+const SampleJournal::Kind kPlain{7, 4, 0}, kGradients{8, 4, 12};
+
+const SampleJournal::Kind& kindOf(int i) { return i % 2 == 0 ? kPlain : kGradients; }
+BakedSample sampleOf(int i)
+{
+    return madeSample(static_cast<float>(i + 1), 4, kindOf(i).gradients);
+}
+
+/// Samples 0 … kSamples − 1, each in a block of its own.
+void writeJournal(const std::string& path)
+{
+    SampleJournal journal(path, "rays 4\n", Start::Anew);
+    for (int i = 0; i < kSamples; ++i) {
+        journal.add(kindOf(i), Coord(i, -i, 0), sampleOf(i));
+        journal.flush();
+    }
+    REQUIRE(journal.warnings().empty());
+}
+
+/// How many of the first samples @a journal holds. Fails where it holds others or wrong ones.
+int heldBy(SampleJournal& journal)
+{
+    int held = 0, first = kSamples;
+    for (int i = 0; i < kSamples; ++i) {
+        BakedSample sample;
+        if (journal.take(kindOf(i), Coord(i, -i, 0), sample)) {
+            ++held;
+            CHECK(same(sample, sampleOf(i)));
+        } else {
+            first = std::min(first, i);
+        }
+    }
+    CHECK(held == first);
+    return held;
+}
+
+} // namespace
+
+TEST_CASE("a journal gives back samples bit for bit", "[bake][journal]")
+{
+    const Folder folder;
+    const std::string path = folder.file("j");
+    writeJournal(path);
+    SampleJournal journal(path, "rays 4\n", Start::GoOn);
+    CHECK(heldBy(journal) == kSamples);
+    CHECK(journal.taken() == kSamples);
+    CHECK(journal.takenRays() == 6 * 2000 + 1 + 2 + 3 + 4 + 5 + 6);
+    BakedSample sample;
+    CHECK(!journal.take(kPlain, Coord(1, -1, 0), sample)); // of the other kind
+    CHECK(!journal.take(kPlain, Coord(0, 0, 1), sample));
+    // The same hash for samples of another size can only be a forgery.
+    CHECK(!journal.take({7, 9, 0}, Coord(0, 0, 0), sample));
+    CHECK(!journal.take({7, 4, 12}, Coord(0, 0, 0), sample));
+    CHECK(journal.warnings().empty());
+}
+
+TEST_CASE("a journal anew forgets, and one without samples goes", "[bake][journal]")
+{
+    const Folder folder;
+    const std::string path = folder.file("j");
+    writeJournal(path);
+    {
+        SampleJournal journal(path, "rays 4\n", Start::Anew);
+        CHECK(heldBy(journal) == 0);
+        CHECK(fs::exists(path));
+    }
+    CHECK(!fs::exists(path));
+}
+
+TEST_CASE("a journal torn at any byte keeps what is whole and goes on", "[bake][journal]")
+{
+    const Folder folder;
+    const std::string path = folder.file("j");
+    writeJournal(path);
+    const std::string whole = contentOf(path);
+    int last = 0;
+    for (std::size_t size = 0; size <= whole.size(); ++size) {
+        CAPTURE(size);
+        write(path, whole.substr(0, size));
+        int held = 0;
+        {
+            SampleJournal journal(path, "rays 4\n", Start::GoOn);
+            held = heldBy(journal);
+            CHECK(held >= last);
+            for (int i = held; i < kSamples; ++i) {
+                journal.add(kindOf(i), Coord(i, -i, 0), sampleOf(i));
+                journal.flush();
+            }
+        }
+        last = held;
+        if (contentOf(path) != whole) FAIL("the journal that went on differs");
+    }
+    CHECK(last == kSamples);
+}
+
+TEST_CASE("a damaged byte costs its block and those behind, nothing else", "[bake][journal]")
+{
+    const Folder folder;
+    const std::string path = folder.file("j");
+    writeJournal(path);
+    const std::string whole = contentOf(path);
+    const std::size_t headerEnd = 16 + std::string("rays 4\n").size();
+    for (std::size_t at = 0; at < whole.size(); ++at) {
+        CAPTURE(at);
+        std::string damaged = whole;
+        damaged[at] = static_cast<char>(damaged[at] ^ (1 << at % 8));
+        write(path, damaged);
+        SampleJournal journal(path, "rays 4\n", Start::GoOn);
+        const int held = heldBy(journal);
+        CHECK(held < kSamples);
+        if (at < 4) {
+            CHECK(journal.warnings().size() == 1); // no journal at all: left alone
+            CHECK(contentOf(path) == damaged);
+        }
+        // The block that holds the byte; the header holds none.
+        int block = 0;
+        for (std::size_t end = headerEnd; at >= headerEnd; ++block) {
+            end += 16 + 80 + 12 * (2 * kindOf(block).values + kindOf(block).gradients);
+            if (at < end) break;
+        }
+        CHECK(held == block);
+    }
+}
+
+TEST_CASE("a journal of other options is refused by their names", "[bake][journal]")
+{
+    const Folder folder;
+    const std::string path = folder.file("j");
+    writeJournal(path);
+    const std::string before = contentOf(path);
+    const std::string message = errorOf(
+        ErrorCode::Usage, [&] { SampleJournal(path, "rays 8\nspacing 0.5\n", Start::GoOn); });
+    CHECK(message.find("rays 4 there, 8 now; spacing nothing there, 0.5 now") != std::string::npos);
+    CHECK(message.find("--resume") != std::string::npos);
+    CHECK(contentOf(path) == before);
+}
+
+TEST_CASE("a second bake does without the journal of the first", "[bake][journal]")
+{
+    const Folder folder;
+    const std::string path = folder.file("j");
+    SampleJournal first(path, "rays 4\n", Start::Anew);
+    for (const Start start : {Start::Anew, Start::GoOn}) {
+        SampleJournal second(path, "rays 8\n", start);
+        CHECK(second.warnings().size() == 1);
+        second.add(kPlain, Coord(0), madeSample(1, 4, 0));
+        CHECK(heldBy(second) == 0);
+    }
+    first.add(kPlain, Coord(0), sampleOf(0));
+    removeJournal(path); // not that of a running bake
+    CHECK(fs::exists(path));
+    CHECK(first.warnings().empty());
+}
+
+namespace {
+
+BakeOptions uniformOptions()
+{
+    BakeOptions o = bakeOptions(0.4, Vec3d(0.0), Vec3d(1.6), 64);
+    o.gradients = GradientMethod::Central;
+    return o;
+}
+
+BakeOptions adaptiveOptions()
+{
+    BakeOptions o = bakeOptions(0.1, Vec3d(0.0), Vec3d(1.6), 32);
+    o.levels = 3;
+    o.gradients = GradientMethod::Analytic;
+    return o;
+}
+
+BakeOptions targetOptions()
+{
+    BakeOptions o = bakeOptions(0.1, Vec3d(0.2), Vec3d(1.0), 32);
+    o.levels = 2;
+    o.bands = 0;
+    o.target.error = 0.2;
+    return o;
+}
+
+/// Stops after a number of samples.
+class StopAfter : public Progress {
+public:
+    explicit StopAfter(std::uint64_t count)
+        : mLeft(static_cast<std::int64_t>(count))
+    {
+    }
+    void advance(std::uint64_t n) override { mLeft -= static_cast<std::int64_t>(n); }
+    bool cancelled() override { return mLeft <= 0; }
+
+private:
+    std::atomic<std::int64_t> mLeft;
+};
+
+} // namespace
+
+TEST_CASE("a bake that goes on makes the same volume", "[bake][journal]")
+{
+    const auto tracer = makeTracer(litRoom());
+    int taken = 0;
+    for (const BakeOptions& plain : {uniformOptions(), adaptiveOptions(), targetOptions()}) {
+        const BakeResult wanted = bakeVolume(*tracer, plain);
+        for (const std::uint64_t stop : {1, 60, 300, 1000, 3000}) {
+            const Folder folder;
+            BakeOptions o = plain;
+            o.journal = folder.file("j");
+            o.threads = 2;
+            StopAfter progress(stop);
+            const std::string message
+                = errorOf(ErrorCode::Interrupted, [&] { bakeVolume(*tracer, o, &progress); });
+            o.resume = true;
+            o.threads = 1 + static_cast<int>(stop % 3);
+            const BakeResult resumed = bakeVolume(*tracer, o);
+            CAPTURE(plain.levels, stop, message, resumed.report.journalSamples);
+            CHECK(differentRecords(wanted.volume, resumed.volume) == 0);
+            CHECK(wanted.report.rays == resumed.report.rays);
+            CHECK(wanted.report.tracedSamples == resumed.report.tracedSamples);
+            CHECK(wanted.report.meanRelativeStderr == resumed.report.meanRelativeStderr);
+            CHECK(wanted.report.achieved.upper == resumed.report.achieved.upper);
+            CHECK(resumed.report.warnings == wanted.report.warnings);
+            taken += resumed.report.journalSamples > 0;
+            removeJournal(o.journal);
+            CHECK(!fs::exists(o.journal));
+        }
+    }
+    CHECK(taken >= 8);
+}
+
+TEST_CASE("a whole journal leaves nothing to trace", "[bake][journal]")
+{
+    const auto tracer = makeTracer(litRoom());
+    const Folder folder;
+    BakeOptions o = adaptiveOptions();
+    o.journal = folder.file("j");
+    const BakeResult first = bakeVolume(*tracer, o);
+    CHECK(first.report.journalSamples == 0);
+    o.resume = true;
+    const BakeResult second = bakeVolume(*tracer, o);
+    CHECK(second.report.journalSamples == second.report.tracedSamples);
+    CHECK(differentRecords(first.volume, second.volume) == 0);
+    // Each option that changes samples is told.
+    const auto refused = [&](auto&& change) {
+        BakeOptions other = o;
+        change(other);
+        return errorOf(ErrorCode::Usage, [&] { bakeVolume(*tracer, other); });
+    };
+    const auto says = [&](auto&& change, const std::string& what) {
+        return refused(change).find(what) != std::string::npos;
+    };
+    CHECK(says([](BakeOptions& b) { b.probe.rays = 64; }, "rays 32 there, 64 now"));
+    CHECK(says([](BakeOptions& b) { b.probe.seed = 2; }, "seed 1 there, 2 now"));
+    CHECK(says([](BakeOptions& b) { b.bands = 2; }, "bands 3 there, 2 now"));
+    CHECK(says([](BakeOptions& b) { b.refine.error = 0.5; }, "refine-error"));
+    CHECK(says([](BakeOptions& b) { b.bounds.reset(); }, "bounds-x"));
+    CHECK(says([](BakeOptions& b) { b.target.error = 0.2; }, "target-error"));
+    CHECK(refused([](BakeOptions& b) { b.threads = 1; }).empty());
+}
+
+TEST_CASE("a bake goes on without a journal where none can be written", "[bake][journal]")
+{
+    const auto tracer = makeTracer(litRoom());
+    const Folder folder;
+    BakeOptions o = uniformOptions();
+    const BakeResult wanted = bakeVolume(*tracer, o);
+    o.journal = folder.file("no folder/j");
+    for (const bool resume : {false, true}) {
+        o.resume = resume;
+        const BakeResult r = bakeVolume(*tracer, o);
+        CHECK(r.report.warnings.size() == wanted.report.warnings.size() + 1);
+        CHECK(differentRecords(wanted.volume, r.volume) == 0);
+    }
+}
