@@ -191,7 +191,7 @@ void BakeCommand::declareTracing(Arguments& arguments)
     arguments.integer("--rays", mBake.probe.rays, between(2, 67108864),
         "directions per sample; chosen with --target-error");
     declareLightTransport(arguments, mBake.probe.contribution, mBake.probe.maxBounces);
-    declareIntegrator(arguments);
+    declareIntegrator(arguments, mBake.integrator);
     arguments.seed("--seed", mBake.probe.seed, "random numbers; same seed, same bits");
 }
 
@@ -293,6 +293,23 @@ Json achieved(const AchievedError& a)
     return json;
 }
 
+Json integratorJson(const BakeReport& baked)
+{
+    Json json = {{"name", name(baked.integrator)}};
+    if (baked.cache.patches > 0) {
+        const RadianceCacheReport& c = baked.cache;
+        json["cache"]
+            = {{"patches", c.patches}, {"mixed", c.mixed}, {"rays", c.rays}, {"bytes", c.bytes},
+                {"iterations", c.iterations}, {"residual", c.residual}, {"seconds", c.seconds}};
+    }
+    if (baked.bias.points > 0) {
+        const CacheBias& b = baked.bias;
+        json["bias"] = {{"rms", b.rms}, {"upper", b.upper}, {"confidence", 0.95}, {"mean", b.mean},
+            {"mean_stderr", b.meanStderr}, {"points", b.points}, {"rays", b.rays}};
+    }
+    return json;
+}
+
 double BakeCommand::traceSeconds(const Seconds& seconds) const
 {
     return seconds.make - mResult->report.secondsRefine - mResult->report.secondsVerify;
@@ -313,6 +330,7 @@ Json BakeCommand::report(const Scene& scene, const Seconds& seconds) const
         {"verify", baked.secondsVerify}, {"write", seconds.write}};
     json["target_error"] = mTargetError ? Json(*mTargetError) : Json(nullptr);
     json["achieved"] = achieved(baked.achieved);
+    json["integrator"] = integratorJson(baked);
     json["decisions"] = baked.decisions;
     json["warnings"] = mCommon.console.warnings();
     json["spacing"] = baked.spacing;
@@ -343,6 +361,12 @@ void BakeCommand::summarise(const Seconds& seconds) const
         + std::to_string(mResult->volume.bands()) + " bands; " + grouped(baked.rays) + " rays, "
         + rounded(baked.raysPerSecond / 1e6, 3) + " million a second; standard error of E "
         + rounded(100 * baked.meanRelativeStderr, 2) + "% on average.");
+    if (baked.integrator == Integrator::Cached) {
+        console.note("Radiance cache: " + grouped(baked.cache.patches) + " patches, "
+            + humanBytes(baked.cache.bytes) + ", solved in " + humanSeconds(baked.cache.seconds)
+            + "; bias " + rounded(100 * baked.bias.rms, 2) + "%, at most "
+            + rounded(100 * baked.bias.upper, 2) + "% with 95% confidence.");
+    }
     noteFile(seconds.load + seconds.build + seconds.make + seconds.write,
         "load " + humanSeconds(seconds.load) + ", build " + humanSeconds(seconds.build) + ", trace "
             + humanSeconds(traceSeconds(seconds)) + ", refine " + humanSeconds(baked.secondsRefine)

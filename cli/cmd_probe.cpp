@@ -36,6 +36,7 @@ private:
     CommonOptions mCommon;
     SceneOptions mScene;
     ProbeOptions mProbe;
+    Integrator mIntegrator = Integrator::Path;
     std::string mPoints;
     int mBands = 3;
     GradientMethod mGradients = GradientMethod::None;
@@ -94,7 +95,7 @@ void ProbeCommand::declareTracing(Arguments& arguments)
         "distance of the six probes, scene units; less near surfaces, to stay before them",
         "an eighth of the spacing that bake would choose");
     declareLightTransport(arguments, mProbe.contribution, mProbe.maxBounces);
-    declareIntegrator(arguments);
+    declareIntegrator(arguments, mIntegrator);
     arguments.seed("--seed", mProbe.seed, "random numbers; same seed and point, same bits");
 }
 
@@ -143,7 +144,15 @@ void ProbeCommand::validate(const Arguments& arguments) const
 std::vector<ProbeResult> ProbeCommand::probeAll(
     const Tracer& tracer, const std::vector<Vec3d>& points, Progress& progress) const
 {
-    const ProbeEstimator estimator(tracer, mProbe);
+    ProbeOptions probe = mProbe;
+    const bool reflected = probe.contribution != Contribution::Direct && probe.maxBounces != 0;
+    if (mIntegrator == Integrator::Cached && reflected) {
+        RadianceCacheOptions cache;
+        cache.maxBounces = probe.maxBounces;
+        cache.seed = probe.seed;
+        probe.cache = std::make_shared<const RadianceCache>(tracer, cache, &progress);
+    }
+    const ProbeEstimator estimator(tracer, probe);
     const Box3d box = tracer.scene().bounds();
     const double search = box.isEmpty() ? 0 : kSearch * box.size().length();
     std::vector<ProbeResult> probed(points.size());

@@ -56,6 +56,9 @@ void addMetadata(Json& json, const VolumeMetadata& m)
     json["up_axis"] = m.upAxis;
     json["seed"] = m.seed;
     json["rays_per_sample"] = m.raysPerSample;
+    json["integrator"] = m.integrator;
+    json["cache_bias"]
+        = m.cacheBias >= 0 ? Json({{"rms", m.cacheBias}, {"upper", m.cacheBiasUpper}}) : Json();
 }
 
 Json statisticsJson(const VolumeStatistics& s)
@@ -135,13 +138,22 @@ std::string contentsTable(const VolumeStatistics& s)
         {"uniform equivalent", grouped(s.uniformEquivalentSamples) + " samples"}});
 }
 
+std::string integratorText(const VolumeMetadata& m)
+{
+    if (m.integrator.empty()) return "path and cached";
+    if (m.cacheBias < 0) return m.integrator;
+    return m.integrator + ", bias " + percent(m.cacheBias) + ", at most "
+        + percent(m.cacheBiasUpper);
+}
+
 std::string originTable(const VolumeStatistics& s)
 {
     const VolumeMetadata& m = s.metadata;
     const auto orNone = [](const std::string& text) { return text.empty() ? "-" : text; };
     return table({{"contribution", m.contribution},
         {"light group", m.lightGroup.empty() ? "all" : m.lightGroup},
-        {"rays a sample", grouped(m.raysPerSample)}, {"seed", std::to_string(m.seed)},
+        {"integrator", integratorText(m)}, {"rays a sample", grouped(m.raysPerSample)},
+        {"seed", std::to_string(m.seed)},
         {"error asked", m.errorAsked > 0 ? percent(m.errorAsked) : "-"},
         {"error measured",
             m.errorReached >= 0

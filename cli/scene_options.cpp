@@ -134,18 +134,13 @@ void validateLightTransport(Contribution contribution, int maxBounces)
     }
 }
 
-void declareIntegrator(Arguments& arguments)
+void declareIntegrator(Arguments& arguments, Integrator& integrator)
 {
-    const auto convert = [](const std::string& value) {
-        if (value == "path") return;
-        if (value == "cached") {
-            failValue("--integrator", value, "this version has no radiance cache; use path");
-        }
-        failValue("--integrator", value, "not an integrator; use path");
-    };
-    arguments.custom("--integrator", "path", convert,
-        "how light is traced; path: unbiased path tracing, the only one of this version "
-        "[default path]");
+    arguments.choice<Integrator>("--integrator", integrator,
+        {{"path", Integrator::Path}, {"cached", Integrator::Cached}},
+        "how light is traced; path: unbiased path tracing, without limit in accuracy; cached: the "
+        "light of all surfaces is solved first, then one ray a direction looks it up: many times "
+        "faster inside rooms with many samples, with a small bias that is measured and reported");
 }
 
 void warnIfSceneDiffers(

@@ -6,6 +6,7 @@
 
 #include "common.h"
 
+#include <lumivdb/bake/bake.h>
 #include <lumivdb/bake/environment.h>
 #include <lumivdb/bake/probe.h>
 #include <lumivdb/bake/scene.h>
@@ -51,8 +52,8 @@ void declareLightTransport(Arguments& arguments, Contribution& contribution, int
 /// @throws Error(Usage) where the two together leave no light.
 void validateLightTransport(Contribution contribution, int maxBounces);
 
-/// --integrator path|cached: this version has path.
-void declareIntegrator(Arguments& arguments);
+/// --integrator path|cached.
+void declareIntegrator(Arguments& arguments, Integrator& integrator);
 
 /// Warns when @a volume was baked from another scene than @a scene.
 void warnIfSceneDiffers(

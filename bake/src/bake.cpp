@@ -14,6 +14,9 @@ namespace lumivdb {
 
 namespace {
 
+/// A cache this far off is worth a warning.
+constexpr double kBiasToWarn = 0.01;
+
 /// A uniform volume: every sample straight into its record.
 class UniformBake {
 public:
@@ -101,6 +104,72 @@ void tell(SampleJournal& journal, BakeReport& report)
     for (const std::string& warning : journal.warnings()) report.warnings.push_back(warning);
 }
 
+/// Solves the cache for a bake that asks for one and gains by it; says so where it cannot.
+void solveCache(const Tracer& tracer, BakeOptions& options, BakeReport& report, Progress& progress)
+{
+    const ProbeOptions& probe = options.probe;
+    if (options.integrator == Integrator::Path) return;
+    options.integrator = Integrator::Path;
+    if (probe.contribution == Contribution::Direct || probe.maxBounces == 0) {
+        report.decisions.push_back("integrator path: direct light needs no cache");
+        return;
+    }
+    RadianceCacheOptions cache;
+    cache.maxBounces = probe.maxBounces;
+    cache.seed = probe.seed;
+    try {
+        const auto solved = std::make_shared<const RadianceCache>(tracer, cache, &progress);
+        report.cache = solved->report();
+        report.rays += report.cache.rays;
+        options.probe.cache = solved;
+        options.integrator = Integrator::Cached;
+    } catch (const Error& e) {
+        if (e.code() != ErrorCode::Input) throw;
+        report.warnings.push_back(std::string(e.what()) + " It was used.");
+    }
+}
+
+std::string biasText(const CacheBias& bias)
+{
+    return percentText(bias.rms) + ", at most " + percentText(bias.upper)
+        + " with 95% confidence, at " + std::to_string(bias.points) + " places";
+}
+
+/// What is known of the cache's bias before a target is promised.
+void judgeCache(const Tracer& tracer, BakeOptions& options, const Box3d& box, BakeReport& report,
+    Progress& progress)
+{
+    report.bias = measureCacheBias(tracer, options.probe, box, {}, progress);
+    report.rays += report.bias.rays;
+    const bool good = report.bias.points > 0 && report.bias.upper <= options.target.error / 2;
+    report.decisions.push_back(std::string("integrator ") + (good ? "cached" : "path")
+        + ": the cache's bias is " + biasText(report.bias)
+        + (good ? "" : ", more than half of the target"));
+    if (good) return;
+    options.probe.cache = nullptr;
+    options.integrator = Integrator::Path;
+}
+
+/// The same after a bake without a target: with a quarter of its directions, or few.
+void measureBias(const Tracer& tracer, const BakeOptions& options, const IrradianceVolume& volume,
+    BakeReport& report, Progress& progress)
+{
+    CacheBiasOptions bias;
+    const double directions
+        = static_cast<double>(volume.sampleCount()) * std::max(1, report.raysPerSample);
+    bias.pathRays = static_cast<int>(
+        std::clamp(directions / (8.0 * static_cast<double>(bias.points)), 1024.0, 8192.0));
+    const LatticeBox lattice = volume.latticeBounds();
+    const auto world = [&](const Coord& c) { return Vec3d(c.x, c.y, c.z) * volume.spacing(); };
+    report.bias = measureCacheBias(
+        tracer, options.probe, Box3d(world(lattice.lower), world(lattice.upper)), bias, progress);
+    report.rays += report.bias.rays;
+    if (report.bias.rms > kBiasToWarn) {
+        report.warnings.push_back("The radiance cache's bias is " + biasText(report.bias)
+            + "; --integrator path has none.");
+    }
+}
+
 [[noreturn]] void refuse(const std::string& sentence) { throw Error(ErrorCode::Usage, sentence); }
 
 } // namespace
@@ -151,26 +220,47 @@ void BakeOptions::validate() const
     }
 }
 
-BakeResult bakeVolume(const Tracer& tracer, const BakeOptions& options, Progress* progress)
+const char* name(Integrator integrator)
 {
-    options.validate();
+    return integrator == Integrator::Cached ? "cached" : "path";
+}
+
+BakeResult bakeVolume(const Tracer& tracer, const BakeOptions& wanted, Progress* progress)
+{
+    wanted.validate();
+    BakeOptions options = wanted;
     Progress silent;
     Progress& talk = progress ? *progress : silent;
     BakeReport report;
     const std::unique_ptr<SampleJournal> journal = openJournal(options, tracer.scene());
     std::optional<IrradianceVolume> volume;
     withThreads(options.threads, [&] {
+        solveCache(tracer, options, report, talk);
+        const bool cached = options.integrator == Integrator::Cached;
+        if (cached && options.target.error > 0) {
+            judgeCache(
+                tracer, options, options.bounds.value_or(tracer.scene().bounds()), report, talk);
+        }
         BakePlan plan = planBake(tracer, options, report, talk);
         plan.samples.journal = journal.get();
         volume.emplace(plan.levels == 0 ? bakeUniform(tracer, options, plan, report, talk)
                                         : bakeAdaptive(tracer, options, plan, report, talk));
+        if (options.integrator == Integrator::Cached && !(options.target.error > 0)) {
+            measureBias(tracer, options, *volume, report, talk);
+        }
     });
+    report.integrator = options.integrator;
     VolumeMetadata& m = volume->metadata();
     m.contribution = name(options.probe.contribution);
     m.lightGroup = options.lightGroup;
     m.seed = options.probe.seed;
     m.raysPerSample = static_cast<std::uint64_t>(report.raysPerSample);
     m.options = options.commandLine;
+    m.integrator = name(options.integrator);
+    if (options.integrator == Integrator::Cached && report.bias.points > 0) {
+        m.cacheBias = report.bias.rms;
+        m.cacheBiasUpper = report.bias.upper;
+    }
     m.sceneHash = tracer.scene().contentHash;
     report.samples = volume->sampleCount();
     for (std::size_t n : volume->cellsByLevel()) report.cellsByLevel.push_back(n);

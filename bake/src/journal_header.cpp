@@ -45,7 +45,8 @@ private:
 
 void addProbe(Lines& lines, const ProbeOptions& options)
 {
-    const auto& [rays, maxBounces, contribution, seed] = options;
+    const auto& [rays, maxBounces, contribution, seed, cache] = options;
+    static_cast<void>(cache); // solved by the bake, the same for the same options
     lines.add("rays", rays);
     lines.add("max-bounces", maxBounces);
     lines.add("contribution", name(contribution));
@@ -107,8 +108,8 @@ const char* nameOf(GradientMethod method)
 
 std::string journalHeader(const BakeOptions& options, const Scene& scene)
 {
-    const auto& [probe, bands, gradients, spacing, levels, refine, target, bounds, visibility, part,
-        parts, lightGroup, commandLine, threads, journal, resume]
+    const auto& [probe, integrator, bands, gradients, spacing, levels, refine, target, bounds,
+        visibility, part, parts, lightGroup, commandLine, threads, journal, resume]
         = options;
     static_cast<void>(commandLine), static_cast<void>(threads);
     static_cast<void>(journal), static_cast<void>(resume);
@@ -117,6 +118,7 @@ std::string journalHeader(const BakeOptions& options, const Scene& scene)
     lines.add("lumivdb", LUMIVDB_VERSION);
     lines.add("scene", scene.contentHash);
     addProbe(lines, probe);
+    lines.add("integrator", name(integrator));
     lines.add("bands", bands);
     lines.add("gradients", nameOf(gradients));
     lines.add("spacing", spacing);

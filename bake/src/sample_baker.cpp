@@ -42,7 +42,7 @@ SampleJournal::Kind kindOf(const SampleSettings& settings)
 {
     // Taken apart, so that a new member does not compile before it has found its place here.
     const auto& [probe, bands, gradients, spacing, gradientReach, journal] = settings;
-    const auto& [rays, maxBounces, contribution, seed] = probe;
+    const auto& [rays, maxBounces, contribution, seed, cache] = probe;
     static_cast<void>(journal);
     const auto bits = [](double v) {
         std::uint64_t u;
@@ -50,10 +50,10 @@ SampleJournal::Kind kindOf(const SampleSettings& settings)
         return u;
     };
     SampleJournal::Kind kind;
-    for (const std::uint64_t part :
-        {static_cast<std::uint64_t>(rays), static_cast<std::uint64_t>(maxBounces),
-            static_cast<std::uint64_t>(contribution), seed, static_cast<std::uint64_t>(bands),
-            static_cast<std::uint64_t>(gradients), bits(spacing), bits(gradientReach)}) {
+    for (const std::uint64_t part : {static_cast<std::uint64_t>(rays),
+             static_cast<std::uint64_t>(maxBounces), static_cast<std::uint64_t>(contribution), seed,
+             static_cast<std::uint64_t>(cache ? 1 : 0), static_cast<std::uint64_t>(bands),
+             static_cast<std::uint64_t>(gradients), bits(spacing), bits(gradientReach)}) {
         kind.settings = hashCombine(kind.settings, part);
     }
     kind.values = static_cast<std::uint32_t>(coefficientCount(bands));

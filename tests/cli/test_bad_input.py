@@ -435,7 +435,7 @@ OPTIONS = [
     option("--part 3/2", ("--part 3/2", "I/N")),
     option("--part 1/2", ("arts", "adaptive")),
     option("--part 1/2 --target-error 0.1", ("target error", "whole volume")),
-    option("--integrator cached", ("--integrator cached", "path")),
+    option("--integrator photon", ("--integrator photon", "path")),
     option("--contribution most", ("--contribution most",)),
     option("--max-bounces -2", ("--max-bounces",)),
     option("--up x", ("--up x",)),

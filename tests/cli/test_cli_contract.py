@@ -72,9 +72,18 @@ class Usage(CliCase):
             self.fails(2, *args, says=[f"did you mean {wanted}?"])
         self.assertNotIn("did you mean", self.fails(2, "bake", "--qwertyuiop"))
 
-    def test_what_this_version_lacks_is_said(self):
-        self.fails(2, "bake", FURNACE, "-o", "x.vdb", "--integrator", "cached",
-                   says=["--integrator cached", "this version"])
+    def test_a_cached_bake_reports_its_bias(self):
+        files = {}
+        for threads in ("1", "2"):
+            vdb, report = self.path(f"c{threads}.vdb"), self.path(f"c{threads}.json")
+            self.run_ok("bake", FURNACE, "-o", vdb, "--spacing", "0.5", "--rays", "64",
+                        "--integrator", "cached", "--threads", threads, "--json", report)
+            files[threads] = pathlib.Path(vdb).read_bytes()
+            made = json.loads(pathlib.Path(report).read_text())["integrator"]
+        self.assertEqual(files["1"], files["2"])
+        self.assertEqual(made["name"], "cached")
+        self.assertGreater(made["cache"]["patches"], 0)
+        self.assertLess(made["bias"]["rms"], 0.02)
 
     def test_bad_values_of_refinement(self):
         integers, parts = "not an integer from 0 to 12, nor auto", "not I/N with 1 <= I <= N"

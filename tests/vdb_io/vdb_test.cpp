@@ -66,6 +66,9 @@ void fillRandom(IrradianceVolume& volume, std::uint64_t seed, float magnitude)
     meta.errorConfidence = 0.95;
     meta.seed = 0xfedcba9876543210ull;
     meta.raysPerSample = 4096;
+    meta.integrator = "cached";
+    meta.cacheBias = 0.0021;
+    meta.cacheBiasUpper = 0.0034;
     meta.options = "bake scene.gltf -o out.vdb --rays 4096";
     meta.sceneHash = "0123456789abcdef";
 }
@@ -159,6 +162,8 @@ std::string metadataDifference(const VolumeMetadata& a, const VolumeMetadata& b)
         return "error";
     if (a.seed != b.seed) return "seed";
     if (a.raysPerSample != b.raysPerSample) return "raysPerSample";
+    if (a.integrator != b.integrator) return "integrator";
+    if (a.cacheBias != b.cacheBias || a.cacheBiasUpper != b.cacheBiasUpper) return "cacheBias";
     if (a.options != b.options) return "options";
     if (!(a.bounds == b.bounds)) return "bounds";
     return a.sceneHash != b.sceneHash ? "sceneHash" : "";

@@ -120,6 +120,12 @@ void addOptional(const IrradianceVolume& volume, openvdb::MetaMap& map)
             moved += volume.offset(static_cast<SampleId>(s)) != Vec3f(0.0f);
         add("moved_samples", Int64Metadata(moved));
     }
+    const VolumeMetadata& meta = volume.metadata();
+    if (meta.integrator != "path") add("integrator", StringMetadata(meta.integrator));
+    if (meta.cacheBias >= 0) {
+        add("cache_bias", DoubleMetadata(meta.cacheBias));
+        add("cache_bias_upper", DoubleMetadata(meta.cacheBiasUpper));
+    }
     if (volume.hasBlocking()) {
         std::int64_t blocked = 0;
         for (std::size_t i = 0; i < volume.cellCount(); ++i)
@@ -209,6 +215,9 @@ FileMetadata parseMetadata(const openvdb::MetaMap& map, const std::string& where
     file.blockedCells = optionalCount(map, "blocked_cells", where);
     const auto bounds = optionalEntry<std::string>(map, "lattice_bounds", where);
     if (bounds) meta.bounds = parseBounds(*bounds, where);
+    meta.integrator = optionalEntry<std::string>(map, "integrator", where).value_or("path");
+    meta.cacheBias = optionalEntry<double>(map, "cache_bias", where).value_or(-1.0);
+    meta.cacheBiasUpper = optionalEntry<double>(map, "cache_bias_upper", where).value_or(-1.0);
     return file;
 }
 

@@ -111,6 +111,9 @@ VolumeMetadata agreedMetadata(const Volumes& volumes)
     if (!agree(&VolumeMetadata::sceneHash)) meta.sceneHash.clear();
     if (!agree(&VolumeMetadata::seed)) meta.seed = 0;
     if (!agree(&VolumeMetadata::raysPerSample)) meta.raysPerSample = 0;
+    if (!agree(&VolumeMetadata::integrator)) meta.integrator.clear();
+    if (!agree(&VolumeMetadata::cacheBias) || !agree(&VolumeMetadata::cacheBiasUpper))
+        meta.cacheBias = meta.cacheBiasUpper = -1.0;
     if (!agree(&VolumeMetadata::errorAsked)) meta.errorAsked = 0;
     if (!agree(&VolumeMetadata::bounds)) meta.bounds = aroundAll(volumes);
     if (!agree(&VolumeMetadata::errorReached) || !agree(&VolumeMetadata::errorConfidence))

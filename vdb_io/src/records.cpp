@@ -79,6 +79,7 @@ void forgetError(VolumeMetadata& metadata)
 {
     metadata.errorReached = -1.0;
     metadata.errorConfidence = 0.0;
+    metadata.cacheBias = metadata.cacheBiasUpper = -1.0;
 }
 
 } // namespace lumivdb

@@ -5,6 +5,7 @@
 /// The bake: a scene in, an irradiance volume out. And its judge: evaluateVolume().
 
 #include <lumivdb/bake/probe.h>
+#include <lumivdb/bake/radiance_cache.h>
 #include <lumivdb/bake/refine.h>
 #include <lumivdb/core/sampler.h>
 #include <lumivdb/core/volume.h>
@@ -25,9 +26,17 @@ struct ErrorTarget {
     bool chooseGradients = true; ///< false: BakeOptions::gradients is kept
 };
 
+/// How light on its way to a sample is found.
+enum class Integrator {
+    Path, ///< unbiased path tracing
+    Cached ///< one ray a direction, what it meets looked up: see radiance_cache.h
+};
+const char* name(Integrator integrator);
+
 /// Options of one bake. Lengths in scene units.
 struct BakeOptions {
-    ProbeOptions probe;
+    ProbeOptions probe; ///< its cache is the bake's affair
+    Integrator integrator = Integrator::Path;
     int bands = 3; ///< 1 … 6; 0: as few as the scene's light allows
     GradientMethod gradients = GradientMethod::None;
     double spacing = 0; ///< finest distance between samples; 0: chosen from the scene
@@ -75,6 +84,9 @@ struct BakeReport {
     double meanRelativeStderr = 0; ///< mean standard error of E over mean E
     std::size_t cutCells = 0; ///< cells with visibility masks
     AchievedError achieved;
+    Integrator integrator = Integrator::Path; ///< the one used
+    RadianceCacheReport cache; ///< where one was solved
+    CacheBias bias; ///< where it was used
     std::vector<std::string> decisions; ///< what was chosen where nothing was given, and why
     std::vector<std::string> warnings;
 };
@@ -99,7 +111,9 @@ double defaultSpacing(const Box3d& sceneBounds);
 /// With a target: pilot probes choose bands, rays and gradients; the error threshold is lowered,
 /// round by round, until the error at fresh random points, with its confidence, is within the
 /// target. Points are drawn half evenly, half where the bake thinks it is wrong, and weighed
-/// accordingly. Where it cannot be met, the report says so and the volume is what was reached.
+/// accordingly. Those points are always traced by `path`, so the bound holds for a cached bake too;
+/// where the cache's bias alone could take half of the target, `path` is used instead.
+/// Where it cannot be met, the report says so and the volume is what was reached.
 ///
 /// With a journal, a bake that was interrupted or killed at any moment goes on where it was, with
 /// BakeOptions::resume, and makes the same volume, bit for bit, on any number of threads. Only

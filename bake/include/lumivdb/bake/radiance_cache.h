@@ -21,6 +21,7 @@
 /// Biased: light is constant over a patch, and the noise of the solution is common to all probes.
 /// measureCacheBias() tells how much.
 
+#include <lumivdb/bake/probe.h>
 #include <lumivdb/bake/tracer.h>
 
 #include <cstdint>
@@ -50,6 +51,26 @@ struct RadianceCacheReport {
     bool full = false; ///< dividing stopped at maxPatches
     double seconds = 0;
 };
+
+/// How far the cache is off, irradiance of random places in free space against `path`, relative to
+/// its mean, worst channel; the noise of both taken off.
+struct CacheBias {
+    double rms = 0;
+    double upper = 0; ///< of rms, with a confidence of 95%
+    double mean = 0, meanStderr = 0; ///< with sign
+    std::size_t points = 0; ///< 0: none was free, nothing is known
+    std::uint64_t rays = 0;
+};
+
+struct CacheBiasOptions {
+    std::size_t points = 64;
+    int cachedRays = 1024, pathRays = 2048; ///< directions a point, twice each
+};
+
+/// Measures it in @a box (world). @a probe has the cache. Two independent sets of directions a
+/// point and integrator tell the noise. @throws Error(Interrupted).
+CacheBias measureCacheBias(const Tracer& tracer, const ProbeOptions& probe, const Box3d& box,
+    const CacheBiasOptions& options, Progress& progress);
 
 /// Immutable once solved; threads share it. Refers to the tracer.
 class RadianceCache {

@@ -102,6 +102,10 @@ struct VolumeMetadata {
     double errorConfidence = 0.0; ///< confidence of errorReached, 0 … 1
     std::uint64_t seed = 0;
     std::uint64_t raysPerSample = 0;
+    std::string integrator = "path"; ///< path | cached | "" where volumes of both were combined
+    /// Of a cached one: relative RMS bias of its light, and what it is at most with a confidence of
+    /// 95%; −1: not measured.
+    double cacheBias = -1.0, cacheBiasUpper = -1.0;
     std::string options; ///< the command line that reproduces it
     std::string sceneHash; ///< content hash of scene and environment, hex
     /// What was asked for, where cells reach beyond it; see IrradianceVolume::latticeBounds().

@@ -1,0 +1,253 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// The cached integrator against closed forms and against path tracing. Its noise is common to all
+// probes of one solution, so tolerances come from the spread over solutions with several seeds.
+#include "bake_makers.h"
+
+#include <lumivdb/bake/radiance_cache.h>
+
+#include <catch2/catch.hpp>
+#include <tbb/global_control.h>
+
+using namespace lumivdb;
+using namespace lumivdb::test;
+
+namespace {
+
+constexpr int kSolutions = 6;
+
+struct Estimate {
+    double mean = 0, error = 0; ///< standard error
+};
+
+/// E at a point, red, from several solutions.
+Estimate cachedIrradiance(
+    const Tracer& tracer, const Vec3d& p, const Vec3f& n, int maxBounces, std::size_t patches)
+{
+    std::vector<double> values;
+    for (int seed = 1; seed <= kSolutions; ++seed) {
+        RadianceCacheOptions cache;
+        cache.patches = patches;
+        cache.seed = static_cast<std::uint64_t>(seed);
+        cache.maxBounces = maxBounces;
+        ProbeOptions options;
+        options.rays = 8192;
+        options.maxBounces = maxBounces;
+        options.seed = cache.seed;
+        options.cache = std::make_shared<const RadianceCache>(tracer, cache);
+        ProbeEstimator::Workspace workspace;
+        const ProbeEstimator estimator(tracer, options);
+        values.push_back(
+            static_cast<double>(estimator.irradiance(p, {n}, cache.seed, workspace).value[0].x));
+    }
+    Estimate e;
+    for (const double v : values) e.mean += v / kSolutions;
+    for (const double v : values) e.error += (v - e.mean) * (v - e.mean);
+    e.error = std::sqrt(e.error / (kSolutions - 1) / kSolutions);
+    return e;
+}
+
+Estimate pathIrradiance(const Tracer& tracer, const Vec3d& p, const Vec3f& n, int maxBounces)
+{
+    ProbeOptions options;
+    options.rays = 1 << 17;
+    options.maxBounces = maxBounces;
+    ProbeEstimator::Workspace workspace;
+    const ProbeEstimator estimator(tracer, options);
+    const ProbeResult r = estimator.irradiance(p, {n}, 99, workspace);
+    return {static_cast<double>(r.value[0].x), static_cast<double>(r.stderr_[0].x)};
+}
+
+Scene furnace(float albedo)
+{
+    Scene scene;
+    const int wall = addMaterial(scene, Color(albedo), Color(1.0f), false);
+    addInwardBox(scene, wall, Vec3d(0.0), Vec3d(1.0));
+    return scene;
+}
+
+/// A room with a lamp, a slab that casts a shadow, and a wall of another albedo.
+Scene room()
+{
+    Scene scene;
+    const int wall = addMaterial(scene, Color(0.7f), Color(0.0f), false);
+    const int dark = addMaterial(scene, Color(0.2f), Color(0.0f), true);
+    const int lamp = addMaterial(scene, Color(0.0f), Color(20.0f), false);
+    addInwardBox(scene, wall, Vec3d(0.0), Vec3d(4, 3, 4));
+    addQuad(scene, lamp, Vec3d(1.5, 2.98, 1.5), Vec3d(1, 0, 0), Vec3d(0, 0, 1)); // shines down
+    addQuad(scene, dark, Vec3d(1.2, 1, 1.2), Vec3d(0, 0, 1.2), Vec3d(1.2, 0, 0));
+    return scene;
+}
+
+/// A court under the sky's sun alone: sharp shadows.
+Scene sunlit()
+{
+    Scene scene;
+    const int wall = addMaterial(scene, Color(0.6f), Color(0.0f), true);
+    addQuad(scene, wall, Vec3d(-5, 0, -5), Vec3d(0, 0, 10), Vec3d(10, 0, 0));
+    addQuad(scene, wall, Vec3d(-2, 0, -2), Vec3d(4, 0, 0), Vec3d(0, 3, 0));
+    Light sun;
+    sun.type = LightType::Directional;
+    sun.direction = Vec3d(-0.3, -1, 0.5).normalized();
+    sun.intensity = Color(10.0f);
+    scene.lights.push_back(sun);
+    Light bulb;
+    bulb.position = Vec3d(1, 1.5, 0);
+    bulb.intensity = Color(3.0f);
+    scene.lights.push_back(bulb);
+    return scene;
+}
+
+/// What the cache may be off by besides its noise: light is constant over a patch.
+constexpr double kPatchBias = 0.003;
+
+void compare(const Tracer& tracer, const Vec3d& p, const Vec3f& n, int maxBounces)
+{
+    const Estimate cached = cachedIrradiance(tracer, p, n, maxBounces, 4096);
+    const Estimate path = pathIrradiance(tracer, p, n, maxBounces);
+    INFO("bounces " << maxBounces << ": cached " << cached.mean << " ± " << cached.error
+                    << ", path " << path.mean << " ± " << path.error);
+    CHECK(std::abs(cached.mean - path.mean)
+        < 4 * std::hypot(cached.error, path.error) + kPatchBias * path.mean);
+}
+
+} // namespace
+
+TEST_CASE("A furnace's cache gives L/(1 - albedo), nearly white ones too", "[radiance_cache]")
+{
+    for (const float albedo : {0.5f, 0.99f}) {
+        const auto tracer = makeTracer(furnace(albedo));
+        const Estimate e = cachedIrradiance(*tracer, Vec3d(0.3, 0.6, 0.45), {0, 1, 0}, -1, 256);
+        const double truth = kPi / (1 - static_cast<double>(albedo));
+        INFO("albedo " << albedo << ": " << e.mean << " ± " << e.error << ", truth " << truth);
+        CHECK(std::abs(e.mean - truth) < 4 * e.error + 1e-4 * truth);
+        CHECK(e.error < 0.02 * truth);
+        const RadianceCache cache(*tracer, {});
+        CHECK(cache.report().residual <= cache.options().residual);
+        CHECK(cache.report().iterations < 100);
+    }
+}
+
+TEST_CASE(
+    "A cached probe agrees with path tracing, for any number of bounces", "[radiance_cache][heavy]")
+{
+    const auto tracer = makeTracer(room());
+    for (const int bounces : {1, 2, -1}) compare(*tracer, {2, 0.5, 1.8}, {0, 1, 0}, bounces);
+    compare(*tracer, {0.4, 2.5, 3}, {1, 0, 0}, -1);
+}
+
+TEST_CASE("Shadows of lights without size are found in place", "[radiance_cache]")
+{
+    const auto tracer = makeTracer(sunlit());
+    compare(*tracer, {0.5, 0.8, 0.6}, {0, -1, 0}, -1);
+    compare(*tracer, {-1, 1.5, -2.5}, {0, 0, 1}, 1);
+    RadianceCacheOptions options;
+    CHECK(RadianceCache(*tracer, options).report().mixed > 0);
+}
+
+TEST_CASE("No light passes a sheet without thickness", "[radiance_cache]")
+{
+    Scene scene;
+    const int wall = addMaterial(scene, Color(0.8f), Color(0.0f), true);
+    const int lamp = addMaterial(scene, Color(0.0f), Color(5.0f), false);
+    addInwardBox(scene, wall, Vec3d(0.0), Vec3d(4, 2, 2));
+    addQuad(scene, wall, Vec3d(2, 0, 0), Vec3d(0, 2, 0), Vec3d(0, 0, 2));
+    addQuad(scene, lamp, Vec3d(0.5, 1.99, 0.5), Vec3d(1, 0, 0), Vec3d(0, 0, 1));
+    const auto tracer = makeTracer(std::move(scene));
+    ProbeOptions options;
+    options.cache = std::make_shared<const RadianceCache>(*tracer, RadianceCacheOptions());
+    ProbeEstimator::Workspace workspace;
+    const ProbeEstimator estimator(*tracer, options);
+    const auto at = [&](double x) {
+        return estimator.radianceSh(Vec3d(x, 1, 1), 1, 1, workspace).value[0].x;
+    };
+    CHECK(at(1.0) > 0.1f);
+    CHECK(at(2.01) == 0.0f);
+    CHECK(at(3.0) == 0.0f);
+}
+
+TEST_CASE("A solution has the same bits for any number of threads", "[radiance_cache][determinism]")
+{
+    const auto tracer = makeTracer(room());
+    const auto bits = [&](std::size_t threads) {
+        const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
+        const RadianceCache cache(*tracer, {});
+        std::vector<float> values;
+        for (std::uint32_t t = 0; t < 16; ++t)
+            for (float u = 0.05f; u < 1; u += 0.1f)
+                for (float v = 0.05f; u + v < 1; v += 0.1f)
+                    for (int c = 0; c < 3; ++c)
+                        values.push_back(cache.at(t, u, v, false).irradiance[c]);
+        return values;
+    };
+    const std::vector<float> one = bits(1);
+    CHECK(one == bits(2));
+    CHECK(*std::max_element(one.begin(), one.end()) > 0);
+}
+
+TEST_CASE("Scenes in too many pieces and bad options are refused", "[radiance_cache]")
+{
+    Scene scene;
+    const int m = addMaterial(scene, Color(0.5f), Color(0.0f), true);
+    for (int i = 0; i < 100; ++i)
+        addQuad(scene, m, Vec3d(i, 0, 0), Vec3d(0.01, 0, 0), Vec3d(0, 0.01, 0));
+    const auto tracer = makeTracer(std::move(scene));
+    RadianceCacheOptions options;
+    options.maxPatches = 64;
+    try {
+        const RadianceCache cache(*tracer, options);
+        FAIL("no error");
+    } catch (const Error& e) {
+        CHECK(e.code() == ErrorCode::Input);
+        CHECK(std::string(e.what()).find("path") != std::string::npos);
+    }
+    options = {};
+    options.rays = 7;
+    CHECK_THROWS_AS(RadianceCache(*tracer, options), Error);
+    options = {};
+    options.nearness = 0;
+    CHECK_THROWS_AS(RadianceCache(*tracer, options), Error);
+}
+
+TEST_CASE("A cached bake says so, with its bias", "[radiance_cache][bake]")
+{
+    const auto tracer = makeTracer(room());
+    BakeOptions options;
+    options.integrator = Integrator::Cached;
+    options.spacing = 1;
+    options.bounds = Box3d(Vec3d(0.5), Vec3d(3.5, 2.5, 3.5));
+    options.probe.rays = 256;
+    const BakeResult baked = bakeVolume(*tracer, options);
+    const BakeReport& r = baked.report;
+    CHECK(r.integrator == Integrator::Cached);
+    CHECK(r.cache.patches > 1000);
+    CHECK(r.bias.points > 32);
+    CHECK(r.bias.rms < 0.02);
+    CHECK(std::abs(r.bias.mean) < 5 * r.bias.meanStderr + kPatchBias);
+    CHECK(baked.volume.metadata().integrator == "cached");
+    CHECK(baked.volume.metadata().cacheBiasUpper == r.bias.upper);
+
+    options.probe.contribution = Contribution::Direct;
+    const BakeResult direct = bakeVolume(*tracer, options);
+    CHECK(direct.report.integrator == Integrator::Path);
+    CHECK(direct.report.decisions.size() >= 1);
+    CHECK(direct.volume.metadata().integrator == "path");
+}
+
+TEST_CASE("A target too tight for the cache falls back to path", "[radiance_cache][bake]")
+{
+    const auto tracer = makeTracer(room());
+    BakeOptions options;
+    options.integrator = Integrator::Cached;
+    options.spacing = 1;
+    options.levels = 1;
+    options.bounds = Box3d(Vec3d(0.5), Vec3d(3.5, 2.5, 3.5));
+    options.target.error = 1e-4; // no bias is measured that well
+    options.target.maxSamples = 1000;
+    options.target.chooseRays = false;
+    options.probe.rays = 64;
+    const BakeResult baked = bakeVolume(*tracer, options);
+    CHECK(baked.report.integrator == Integrator::Path);
+    CHECK(baked.report.bias.points > 0);
+    CHECK_FALSE(baked.report.achieved.met);
+}
