@@ -309,7 +309,7 @@ void Refiner::measure(const std::vector<CellKey>& cells, Progress& progress)
         if (!tests || cell.level == 0) continue;
         for (const Coord& p : testPoints(cell)) points.push_back(p);
     }
-    mStore.require(std::move(points), progress, "trace samples");
+    mStore.require(std::move(points), progress);
     if (!tests) return;
     std::vector<Measure> measures(fresh.size());
     tbb::parallel_for(std::size_t{0}, fresh.size(), [&](std::size_t i) {
@@ -432,7 +432,7 @@ void Refiner::refineLevel(std::vector<CellKey>& cells, Progress& progress)
     }
     if (mOptions.uses(RefineHeuristic::Error)) {
         // What has been split will be sampled; its neighbours may look at it, once.
-        mStore.require(points, progress, "trace samples");
+        mStore.require(points, progress);
         std::vector<char> follows(cells.size());
         tbb::parallel_for(std::size_t{0}, cells.size(),
             [&](std::size_t i) { follows[i] = !split[i] && followsNeighbours(mTree, cells[i]); });
@@ -456,7 +456,7 @@ void Refiner::cull(Progress& progress)
             appendNodes(mTree, cell, points);
             appendCorners(cell, points); // those outside the box, where it was split for balance
         }
-        mStore.require(std::move(points), progress, "trace samples");
+        mStore.require(std::move(points), progress);
         std::vector<char> redundant(candidates.size());
         tbb::parallel_for(std::size_t{0}, candidates.size(), [&](std::size_t i) {
             const CellKey& cell = candidates[i];
@@ -481,7 +481,7 @@ RefinedCells Refiner::result(Progress& progress)
     r.cells = mTree.leaves();
     std::vector<Coord> points;
     for (const CellKey& cell : r.cells) appendCorners(cell, points);
-    mStore.require(std::move(points), progress, "trace samples");
+    mStore.require(std::move(points), progress);
     for (const CellKey& cell : r.cells) {
         // A finest cell was not tested itself: it is thought to be as wrong as its parent.
         CellKey tested = cell;

@@ -7,7 +7,6 @@
 #include <lumivdb/core/error.h>
 #include <lumivdb/core/random.h>
 
-#include <tbb/blocked_range.h>
 #include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
 
@@ -16,6 +15,7 @@
 #include <atomic>
 #include <cmath>
 #include <cstring>
+#include <numeric>
 
 namespace lumivdb {
 
@@ -136,28 +136,75 @@ void SampleBaker::addGradient(const Vec3d& p, std::uint64_t key,
     limitGradient(mSettings.gradientReach, r);
 }
 
-std::vector<Vec3f> bakeSamples(const SampleBaker& baker, const IrradianceVolume& volume,
-    const std::function<void(SampleId, const BakedSample&)>& store, Progress& progress)
+namespace {
+
+/// Neighbours are baked one after the other in runs of this length at most: what they see is in the
+/// cache. Few samples are baked one by one, so that all threads have some.
+constexpr std::size_t kLongestRun = 16, kManyRuns = 1024;
+
+/// Runs of 0 … count − 1 in an order whose every stretch is spread over the whole: steps of about
+/// the golden ratio, coprime to their number.
+class MixedRuns {
+public:
+    explicit MixedRuns(std::size_t count)
+        : mCount(count)
+        , mLength(std::clamp(count / kManyRuns, std::size_t{1}, kLongestRun))
+        , mRuns((count + mLength - 1) / mLength)
+        , mStep(static_cast<std::size_t>(0.6180339887498949 * static_cast<double>(mRuns)) | 1)
+    {
+        while (std::gcd(mStep, mRuns) > 1) ++mStep;
+    }
+    std::size_t size() const { return mRuns; }
+    std::size_t begin(std::size_t i) const { return i * mStep % mRuns * mLength; }
+    std::size_t end(std::size_t i) const { return std::min(mCount, begin(i) + mLength); }
+
+private:
+    std::size_t mCount, mLength, mRuns, mStep;
+};
+
+} // namespace
+
+void bakeSamples(const SampleBaker& baker, std::size_t count,
+    const std::function<Coord(std::size_t)>& at,
+    const std::function<void(std::size_t, const BakedSample&)>& store, Progress& progress)
 {
-    const std::size_t count = volume.sampleCount();
-    progress.begin("trace samples", count);
     tbb::enumerable_thread_specific<ProbeEstimator::Workspace> workspaces;
-    std::vector<Vec3f> offsets(count);
     std::atomic<bool> stop{false};
-    tbb::parallel_for(tbb::blocked_range<SampleId>(0, static_cast<SampleId>(count), 1),
-        [&](const tbb::blocked_range<SampleId>& range) {
-            for (SampleId s = range.begin(); s != range.end(); ++s) {
+    const auto bakeAll = [&](const std::vector<std::size_t>& numbers, const char* stage) {
+        if (numbers.empty()) return;
+        progress.begin(stage, numbers.size());
+        const MixedRuns runs(numbers.size());
+        tbb::parallel_for(std::size_t{0}, runs.size(), [&](std::size_t run) {
+            for (std::size_t k = runs.begin(run); k != runs.end(run); ++k) {
                 if (stop || progress.cancelled()) {
                     stop = true;
                     return;
                 }
-                const BakedSample sample = baker.bake(volume.samplePosition(s), workspaces.local());
-                offsets[s] = sample.offset;
-                store(s, sample);
+                store(numbers[k], baker.bake(at(numbers[k]), workspaces.local()));
                 progress.advance(1);
             }
         });
-    if (stop) throw Error(ErrorCode::Interrupted, "The bake was interrupted; nothing was written.");
+        if (stop)
+            throw Error(ErrorCode::Interrupted, "The bake was interrupted; nothing was written.");
+    };
+    std::vector<std::size_t> kept, others;
+    for (std::size_t i = 0; i < count; ++i) (baker.isKept(at(i)) ? kept : others).push_back(i);
+    bakeAll(kept, "read the journal");
+    bakeAll(others, "trace samples");
+}
+
+std::vector<Vec3f> bakeSamples(const SampleBaker& baker, const IrradianceVolume& volume,
+    const std::function<void(SampleId, const BakedSample&)>& store, Progress& progress)
+{
+    std::vector<Vec3f> offsets(volume.sampleCount());
+    bakeSamples(
+        baker, offsets.size(),
+        [&](std::size_t i) { return volume.samplePosition(static_cast<SampleId>(i)); },
+        [&](std::size_t i, const BakedSample& sample) {
+            offsets[i] = sample.offset;
+            store(static_cast<SampleId>(i), sample);
+        },
+        progress);
     const bool moved = std::any_of(
         offsets.begin(), offsets.end(), [](const Vec3f& o) { return o != Vec3f(0.0f); });
     return moved ? offsets : std::vector<Vec3f>();

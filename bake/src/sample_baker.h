@@ -36,12 +36,16 @@ public:
     /// The record of lattice point @a c. The same point, settings and scene give the same bits. A
     /// point on a surface is moved off it, one inside geometry out of it where that is near.
     BakedSample bake(const Coord& c, ProbeEstimator::Workspace& workspace) const;
-    /// The same, and never from the journal.
-    BakedSample trace(const Coord& c, ProbeEstimator::Workspace& workspace) const;
+    /// Whether bake() will find it in the journal.
+    bool isKept(const Coord& c) const
+    {
+        return mSettings.journal && mSettings.journal->holds(mKind, c);
+    }
     Vec3d world(const Coord& c) const { return Vec3d(c.x, c.y, c.z) * mSettings.spacing; }
     const SampleSettings& settings() const { return mSettings; }
 
 private:
+    BakedSample trace(const Coord& c, ProbeEstimator::Workspace& workspace) const;
     void addGradient(const Vec3d& p, std::uint64_t key, ProbeEstimator::Workspace& workspace,
         BakedSample& sample) const;
     const Tracer& mTracer;
@@ -50,6 +54,13 @@ private:
     ProbeEstimator mEstimator;
     SampleJournal::Kind mKind;
 };
+
+/// Bakes @a count samples in parallel: number i, which lies at @a at(i), goes to @a store(i, …), on
+/// any thread. In an order in which cheap and dear places mix, so that @a progress tells the time
+/// that is left. @throws Error(Interrupted).
+void bakeSamples(const SampleBaker& baker, std::size_t count,
+    const std::function<Coord(std::size_t)>& at,
+    const std::function<void(std::size_t, const BakedSample&)>& store, Progress& progress);
 
 /// Bakes every sample of @a volume's topology and hands each to @a store, which any thread calls,
 /// once a sample. @return where samples were moved to, empty if none was.

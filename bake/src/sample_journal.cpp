@@ -276,6 +276,11 @@ bool SampleJournal::indexRecords(const std::vector<char>& payload, std::uint64_t
     return true;
 }
 
+bool SampleJournal::holds(const Kind& kind, const Coord& c) const
+{
+    return mReads && mIndex.count({kind.settings, c}) != 0;
+}
+
 bool SampleJournal::take(const Kind& kind, const Coord& c, BakedSample& sample)
 {
     if (!mReads) return false;

@@ -56,6 +56,8 @@ public:
     SampleJournal(const SampleJournal&) = delete;
     SampleJournal& operator=(const SampleJournal&) = delete;
 
+    /// Whether take() will find the sample, damage in the meantime excepted. From any thread.
+    bool holds(const Kind& kind, const Coord& c) const;
     /// The sample at @a c, if an earlier bake left it. From any thread.
     bool take(const Kind& kind, const Coord& c, BakedSample& sample);
     /// Keeps @a sample for later bakes. From any thread.

@@ -1,16 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "sample_store.h"
 
-#include <lumivdb/core/error.h>
 #include <lumivdb/core/random.h>
 #include <lumivdb/core/volume.h>
 
-#include <tbb/blocked_range.h>
-#include <tbb/enumerable_thread_specific.h>
-#include <tbb/parallel_for.h>
-
 #include <algorithm>
-#include <atomic>
 #include <cmath>
 #include <tuple>
 
@@ -44,11 +38,10 @@ std::size_t SampleStore::missing(std::vector<Coord> points) const
     return points.size();
 }
 
-void SampleStore::require(std::vector<Coord> points, Progress& progress, const char* stage)
+void SampleStore::require(std::vector<Coord> points, Progress& progress)
 {
     keepMissing(points);
     if (points.empty()) return;
-    progress.begin(stage, points.size());
     trace(points, progress);
 }
 
@@ -58,26 +51,17 @@ void SampleStore::trace(const std::vector<Coord>& points, Progress& progress)
     mInfo.resize(first + points.size());
     mRecords.resize((first + points.size()) * mStride);
     std::vector<std::uint64_t> rays(points.size());
-    tbb::enumerable_thread_specific<ProbeEstimator::Workspace> workspaces;
-    std::atomic<bool> stop{false};
-    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, points.size(), 1),
-        [&](const tbb::blocked_range<std::size_t>& range) {
-            for (std::size_t i = range.begin(); i != range.end(); ++i) {
-                if (stop || progress.cancelled()) {
-                    stop = true;
-                    return;
-                }
-                const BakedSample s = mBaker.bake(points[i], workspaces.local());
-                mInfo[first + i]
-                    = {points[i], s.result.validity, s.result.distance, s.offset, s.variance};
-                Color* record = mRecords.data() + (first + i) * mStride;
-                record = std::copy(s.result.value.begin(), s.result.value.end(), record);
-                std::copy(s.result.gradient.begin(), s.result.gradient.end(), record);
-                rays[i] = s.rays;
-                progress.advance(1);
-            }
-        });
-    if (stop) throw Error(ErrorCode::Interrupted, "The bake was interrupted; nothing was written.");
+    bakeSamples(
+        mBaker, points.size(), [&](std::size_t i) { return points[i]; },
+        [&](std::size_t i, const BakedSample& s) {
+            mInfo[first + i]
+                = {points[i], s.result.validity, s.result.distance, s.offset, s.variance};
+            Color* record = mRecords.data() + (first + i) * mStride;
+            record = std::copy(s.result.value.begin(), s.result.value.end(), record);
+            std::copy(s.result.gradient.begin(), s.result.gradient.end(), record);
+            rays[i] = s.rays;
+        },
+        progress);
     for (std::size_t i = 0; i < points.size(); ++i) {
         mIndex.emplace(points[i], first + i);
         mRays += rays[i];

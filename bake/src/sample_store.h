@@ -29,7 +29,7 @@ public:
 
     /// Traces those of @a points that are not yet there, in parallel. Their order, and the order of
     /// calls, does not change any sample. @throws Error(Interrupted).
-    void require(std::vector<Coord> points, Progress& progress, const char* stage);
+    void require(std::vector<Coord> points, Progress& progress);
 
     /// How many of @a points, which may repeat, are not yet there.
     std::size_t missing(std::vector<Coord> points) const;
