@@ -73,17 +73,20 @@ class Usage(CliCase):
         self.assertNotIn("did you mean", self.fails(2, "bake", "--qwertyuiop"))
 
     def test_a_cached_bake_reports_its_bias(self):
-        files = {}
-        for threads in ("1", "2"):
-            vdb, report = self.path(f"c{threads}.vdb"), self.path(f"c{threads}.json")
-            self.run_ok("bake", FURNACE, "-o", vdb, "--spacing", "0.5", "--rays", "64",
-                        "--integrator", "cached", "--threads", threads, "--json", report)
-            files[threads] = pathlib.Path(vdb).read_bytes()
-            made = json.loads(pathlib.Path(report).read_text())["integrator"]
-        self.assertEqual(files["1"], files["2"])
+        files = []
+        for threads in (1, 2):
+            volume = self.folder / f"cached{threads}.vdb"
+            report = self.json("bake", FURNACE, "-o", volume, "--spacing", "0.5", "--rays", "64",
+                               "--integrator", "cached", "--threads", threads)
+            files.append(volume.read_bytes())
+        self.assertEqual(files[0], files[1])
+        made = report["integrator"]
         self.assertEqual(made["name"], "cached")
         self.assertGreater(made["cache"]["patches"], 0)
         self.assertLess(made["bias"]["rms"], 0.02)
+        stats = self.json("stats", self.folder / "cached2.vdb")
+        self.assertEqual(stats["integrator"], "cached")
+        self.assertEqual(stats["cache_bias"]["rms"], made["bias"]["rms"])
 
     def test_bad_values_of_refinement(self):
         integers, parts = "not an integer from 0 to 12, nor auto", "not I/N with 1 <= I <= N"
