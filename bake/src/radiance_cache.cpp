@@ -390,7 +390,7 @@ private:
     bool advance(const std::vector<Color>& reflected, bool scale)
     {
         Vec3d direct(0.0), kept(0.0);
-        double residual = 0, total = 0;
+        double worst = 0;
         for (std::size_t r = 0; r < mLight.size(); ++r) {
             const double area = mPatches->area(mIds[r]);
             for (int c = 0; c < 3; ++c) {
@@ -399,11 +399,10 @@ private:
                              t = static_cast<double>(reflected[r][c]);
                 direct[c] += area * d;
                 kept[c] += area * (e - t);
-                residual += area * std::abs(e - t - d);
-                total += area * e;
+                if (e > 0) worst = std::max(worst, std::abs(e - t - d) / e);
             }
         }
-        mReport.residual = total > 0 ? residual / total : 0;
+        mReport.residual = worst;
         if (mReport.residual <= mOptions.residual && scale) return true;
         Color factor(1.0f);
         for (int c = 0; c < 3 && scale; ++c) {
