@@ -65,7 +65,8 @@ private:
 Pilot summarise(const std::vector<Look>& looks, int rays)
 {
     Pilot pilot;
-    std::array<Vec3d, kMaxBands + 1> missing{};
+    std::array<Vec3d, kMaxBands + 1> missing;
+    missing.fill(Vec3d(0.0)); // a Vec3d is not zero by itself
     Vec3d noise(0.0);
     for (const Look& look : looks) {
         pilot.rays += look.rays;

@@ -3,6 +3,7 @@
     LUMIVDB_KILLS=50 LUMIVDB_PROGRAM=build/release/lumivdb python3 tests/cli/test_resume.py -v Killed
 """
 import fcntl
+import json
 import os
 import random
 import re
@@ -19,6 +20,8 @@ SCENE = SAMPLES / "two_rooms.glb"
 UNIFORM = ("bake", SCENE, "--spacing", "0.2", "--rays", "256")
 ADAPTIVE = ("bake", SCENE, "--spacing", "0.1", "--levels", "3", "--rays", "128", "--bands", "4",
             "--gradients", "analytic")
+# Out of reach, so it ends with exit code 1: its pilot, rounds and choices have to be the same too.
+TARGET = ("bake", SAMPLES / "house.glb", "--target-error", "0.05", "--max-samples", "10000")
 SMALL = ("bake", SCENE, "--spacing", "0.5", "--rays", "64")
 ENDLESS = ("bake", SCENE, "--spacing", "0.5", "--rays", "1048576")
 
@@ -46,16 +49,21 @@ class Case(CliCase):
 class Killed(Case):
     """kill -9 at random moments, on changing numbers of threads; some resumed runs are killed too."""
 
-    def reference(self, name, command):
+    def report(self, code, *args):
+        got, out, err = run(*args, "--quiet", "--json", "-")
+        self.assertEqual(got, code, err)
+        return json.loads(out)
+
+    def reference(self, name, command, code):
         out = self.folder / f"{name}.vdb"
         begun = time.monotonic()
-        report = self.json(*command, "-o", out, "--quiet")
+        report = self.report(code, *command, "-o", out)
         seconds = time.monotonic() - begun
         self.assertEqual(report["journal_samples"], 0)
         self.assertFalse(self.journal_of(out).exists(), "a journal was left")
         return out.read_bytes(), report, seconds
 
-    def kill_at(self, command, out, seconds):
+    def kill_at(self, command, out, seconds, code):
         """-> whether it was killed before it had ended"""
         with start(*command, "-o", out, "--quiet") as process:
             try:
@@ -63,21 +71,23 @@ class Killed(Case):
             except subprocess.TimeoutExpired:
                 process.kill()
             process.communicate()
-        self.assertIn(process.returncode, (0, -signal.SIGKILL))
-        return process.returncode != 0
+        self.assertIn(process.returncode, (code, -signal.SIGKILL))
+        return process.returncode != code
 
-    def kill_and_resume(self, name, command):
-        wanted, plain, seconds = self.reference(name, command)
+    def kill_and_resume(self, name, command, code=0):
+        wanted, plain, seconds = self.reference(name, command, code)
         rng = random.Random(name)
         landed = with_samples = 0
         for number in range((KILLS + 1) // 2):
             out = self.folder / f"{name}_{number}.vdb"
             threads = lambda: ("--threads", rng.choice((1, 2, 3)))
             with self.subTest(kill=number):
-                landed += self.kill_at((*command, *threads()), out, rng.random() * 1.1 * seconds)
+                landed += self.kill_at((*command, *threads()), out,
+                                       rng.random() * 1.1 * seconds, code)
                 if number % 3 == 2:
-                    self.kill_at((*command, "--resume", *threads()), out, rng.random() * seconds)
-                report = self.json(*command, "--resume", *threads(), "-o", out, "--quiet")
+                    self.kill_at((*command, "--resume", *threads()), out,
+                                 rng.random() * seconds, code)
+                report = self.report(code, *command, "--resume", *threads(), "-o", out)
                 self.assertTrue(out.read_bytes() == wanted, "other bytes than uninterrupted")
                 for key in ("samples", "traced_samples", "rays", "mean_relative_stderr"):
                     self.assertEqual(report[key], plain[key], key)
@@ -94,6 +104,9 @@ class Killed(Case):
 
     def test_adaptive_with_gradients(self):
         self.kill_and_resume("adaptive", ADAPTIVE)
+
+    def test_target(self):
+        self.kill_and_resume("target", TARGET, code=1)
 
 
 class Journal(Case):
