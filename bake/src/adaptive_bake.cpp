@@ -301,8 +301,13 @@ AchievedError AdaptiveBake::verify(const IrradianceVolume& volume, std::size_t c
     evaluate.mode = VolumeSampler::bestMode(volume);
     evaluate.contribution = mOptions.probe.contribution;
     evaluate.maxBounces = mOptions.probe.maxBounces;
-    const double wanted = std::pow(mPlan.noisePerRay / (kReferenceShare * mPlan.goal), 2);
-    const double most = std::clamp(8.0 * mPlan.samples.probe.rays, 1024.0, kMaxReferenceRays);
+    // The reference's own noise is that of paths, of which a cached bake's rays know nothing.
+    const bool cached = mPlan.samples.probe.cache != nullptr;
+    const double noisePerRay = cached ? mReport.bias.pathNoise : mPlan.noisePerRay;
+    const double wanted = std::pow(noisePerRay / (kReferenceShare * mPlan.goal), 2);
+    const double most = cached
+        ? kMaxReferenceRays
+        : std::clamp(8.0 * mPlan.samples.probe.rays, 1024.0, kMaxReferenceRays);
     evaluate.rays = static_cast<int>(std::clamp(wanted, 256.0, most));
     evaluate.seed = hashCombine(
         mixBits(mOptions.probe.seed ^ kVerifyStream), static_cast<std::uint64_t>(round));

@@ -16,6 +16,9 @@ namespace {
 
 /// A cache this far off is worth a warning.
 constexpr double kBiasToWarn = 0.01;
+/// Directions of `path` at a place where a bias that is hard to tell from a target is measured: as
+/// many as verification takes at most.
+constexpr int kMostBiasRays = 16384;
 
 /// A uniform volume: every sample straight into its record.
 class UniformBake {
@@ -135,13 +138,26 @@ std::string biasText(const CacheBias& bias)
         + " with 95% confidence, at " + std::to_string(bias.points) + " places";
 }
 
-/// What is known of the cache's bias before a target is promised.
+/// What the bias exceeds with the same confidence as it stays below its bound.
+double lowerBound(const CacheBias& bias)
+{
+    return std::sqrt(std::max(0.0, 2 * bias.rms * bias.rms - bias.upper * bias.upper));
+}
+
+/// What is known of the cache's bias before a target is promised. Where noise leaves open on which
+/// side of the limit it is, more is traced.
 void judgeCache(const Tracer& tracer, BakeOptions& options, const Box3d& box, BakeReport& report,
     Progress& progress)
 {
-    report.bias = measureCacheBias(tracer, options.probe, box, {}, progress);
-    report.rays += report.bias.rays;
-    const bool good = report.bias.points > 0 && report.bias.upper <= options.target.error / 2;
+    const double limit = options.target.error / 2;
+    CacheBiasOptions bias;
+    for (bool open = true; open; bias.cachedRays *= 2, bias.pathRays *= 2) {
+        report.bias = measureCacheBias(tracer, options.probe, box, bias, progress);
+        report.rays += report.bias.rays;
+        open = report.bias.points > 0 && report.bias.upper > limit
+            && lowerBound(report.bias) <= limit && 2 * bias.pathRays <= kMostBiasRays;
+    }
+    const bool good = report.bias.points > 0 && report.bias.upper <= limit;
     report.decisions.push_back(std::string("integrator ") + (good ? "cached" : "path")
         + ": the cache's bias is " + biasText(report.bias)
         + (good ? "" : ", more than half of the target"));
@@ -164,10 +180,46 @@ void measureBias(const Tracer& tracer, const BakeOptions& options, const Irradia
     report.bias = measureCacheBias(
         tracer, options.probe, Box3d(world(lattice.lower), world(lattice.upper)), bias, progress);
     report.rays += report.bias.rays;
-    if (report.bias.rms > kBiasToWarn) {
+    if (lowerBound(report.bias) > kBiasToWarn) {
         report.warnings.push_back("The radiance cache's bias is " + biasText(report.bias)
             + "; --integrator path has none.");
     }
+}
+
+/// Whether a target was missed that would have been met without the bias.
+bool missedForBias(const BakeReport& report, const BakeOptions& options)
+{
+    const double upper = report.achieved.upper, bias = report.bias.upper;
+    const double target = options.target.error;
+    return options.integrator == Integrator::Cached && target > 0 && !report.achieved.met
+        && upper * upper - bias * bias <= target * target;
+}
+
+/// Plans and bakes with the integrator of @a options.
+IrradianceVolume bakePlanned(const Tracer& tracer, const BakeOptions& options,
+    SampleJournal* journal, BakeReport& report, Progress& progress)
+{
+    BakePlan plan = planBake(tracer, options, report, progress);
+    plan.samples.journal = journal;
+    return plan.levels == 0 ? bakeUniform(tracer, options, plan, report, progress)
+                            : bakeAdaptive(tracer, options, plan, report, progress);
+}
+
+/// The cached bake, and another by `path` where that one misses its target for the bias.
+IrradianceVolume bakeWithin(const Tracer& tracer, BakeOptions& options, SampleJournal* journal,
+    BakeReport& report, Progress& progress)
+{
+    auto decisions = report.decisions, warnings = report.warnings;
+    IrradianceVolume volume = bakePlanned(tracer, options, journal, report, progress);
+    if (!missedForBias(report, options)) return volume;
+    report.decisions = std::move(decisions);
+    report.warnings = std::move(warnings);
+    report.decisions.push_back("integrator path after all: with the cache the error is up to "
+        + percentText(report.achieved.upper) + ", of which its bias may be "
+        + percentText(report.bias.upper));
+    options.probe.cache = nullptr;
+    options.integrator = Integrator::Path;
+    return bakePlanned(tracer, options, journal, report, progress);
 }
 
 [[noreturn]] void refuse(const std::string& sentence) { throw Error(ErrorCode::Usage, sentence); }
@@ -241,10 +293,7 @@ BakeResult bakeVolume(const Tracer& tracer, const BakeOptions& wanted, Progress*
             judgeCache(
                 tracer, options, options.bounds.value_or(tracer.scene().bounds()), report, talk);
         }
-        BakePlan plan = planBake(tracer, options, report, talk);
-        plan.samples.journal = journal.get();
-        volume.emplace(plan.levels == 0 ? bakeUniform(tracer, options, plan, report, talk)
-                                        : bakeAdaptive(tracer, options, plan, report, talk));
+        volume.emplace(bakeWithin(tracer, options, journal.get(), report, talk));
         if (options.integrator == Integrator::Cached && !(options.target.error > 0)) {
             measureBias(tracer, options, *volume, report, talk);
         }

@@ -87,10 +87,10 @@ private:
 };
 
 /// Of one channel: squares and sums of differences, by point.
-CacheBias channelBias(const std::vector<Pair>& pairs, int c)
+CacheBias channelBias(const std::vector<Pair>& pairs, int pathRays, int c)
 {
     std::vector<double> square, difference;
-    double mean = 0;
+    double mean = 0, noise = 0;
     for (const Pair& pair : pairs) {
         double q = 0, d = 0;
         for (std::size_t n = 0; n < kNormals; ++n) {
@@ -104,6 +104,7 @@ CacheBias channelBias(const std::vector<Pair>& pairs, int c)
             q += ((k - p) * (k - p) - pNoise * pNoise - kNoise * kNoise) / kNormals;
             d += (k - p) / kNormals;
             mean += p / kNormals;
+            noise += pNoise * pNoise / kNormals;
         }
         square.push_back(q);
         difference.push_back(d);
@@ -124,6 +125,8 @@ CacheBias channelBias(const std::vector<Pair>& pairs, int c)
     bias.upper = std::sqrt(std::max(0.0, q + kConfident * qError)) / mean;
     bias.mean = d / mean;
     bias.meanStderr = dError / mean;
+    // The halves together have twice the rays.
+    bias.pathNoise = std::sqrt(noise / count * 2 * pathRays) / mean;
     return bias;
 }
 
@@ -157,10 +160,13 @@ CacheBias measureCacheBias(const Tracer& tracer, const ProbeOptions& probe, cons
         std::remove_if(pairs.begin(), pairs.end(), [](const Pair& pair) { return !pair.free; }),
         pairs.end());
     CacheBias worst;
+    double noise = 0;
     for (int c = 0; c < 3 && !pairs.empty(); ++c) {
-        const CacheBias bias = channelBias(pairs, c);
+        const CacheBias bias = channelBias(pairs, options.pathRays, c);
+        noise = std::max(noise, bias.pathNoise);
         if (c == 0 || bias.upper > worst.upper) worst = bias;
     }
+    worst.pathNoise = noise;
     worst.points = pairs.size();
     worst.rays = rays;
     return worst;

@@ -251,3 +251,37 @@ TEST_CASE("A target too tight for the cache falls back to path", "[radiance_cach
     CHECK(baked.report.bias.points > 0);
     CHECK_FALSE(baked.report.achieved.met);
 }
+
+TEST_CASE("The bias that is measured is the light that a cache lacks", "[radiance_cache]")
+{
+    // A cache of one bounce against all of them: 1 + 1/2 of 2 in a furnace of albedo 1/2.
+    const auto tracer = makeTracer(furnace(0.5f));
+    RadianceCacheOptions cache;
+    cache.maxBounces = 1;
+    ProbeOptions probe;
+    probe.cache = std::make_shared<const RadianceCache>(*tracer, cache);
+    Progress silent;
+    const CacheBias bias
+        = measureCacheBias(*tracer, probe, Box3d(Vec3d(0.0), Vec3d(1.0)), {}, silent);
+    INFO("rms " << bias.rms << ", at most " << bias.upper << ", mean " << bias.mean << " ± "
+                << bias.meanStderr);
+    CHECK(bias.points == 64);
+    CHECK(std::abs(bias.mean + 0.25) < 4 * bias.meanStderr + 1e-4);
+    CHECK(bias.upper > 0.25);
+    CHECK(2 * bias.rms - bias.upper < 0.25);
+}
+
+TEST_CASE("Noise of paths is no error of a cached bake", "[radiance_cache]")
+{
+    // Albedo 0.8: the cache is exact, and what judges it is the noisier.
+    const auto tracer = makeTracer(furnace(0.8f));
+    BakeOptions options = bakeOptions(0, Vec3d(0.1), Vec3d(0.9), 64);
+    options.integrator = Integrator::Cached;
+    options.bands = 1;
+    options.target.error = 0.05;
+    const BakeResult baked = bakeVolume(*tracer, options);
+    for (const std::string& decision : baked.report.decisions) UNSCOPED_INFO(decision);
+    CHECK(baked.report.integrator == Integrator::Cached);
+    // The reference may take 0.3 of the target; the rest of the bound is room for its confidence.
+    CHECK(baked.report.achieved.upper < 0.5 * options.target.error);
+}

@@ -60,6 +60,7 @@ struct CacheBias {
     double rms = 0;
     double upper = 0; ///< of rms, with a confidence of 95%
     double mean = 0, meanStderr = 0; ///< with sign
+    double pathNoise = 0; ///< standard error of `path` at a place, of one ray: falls as 1/√rays
     std::size_t points = 0; ///< 0: none was free, nothing is known
     std::uint64_t rays = 0;
 };
