@@ -8,6 +8,7 @@
 #include <lumivdb/core/random.h>
 
 #include <openvdb/io/Compression.h>
+#include <openvdb/io/DelayedLoadMetadata.h>
 
 #include <filesystem>
 #include <fstream>
@@ -204,6 +205,9 @@ void readVdb(const std::string& path, const std::function<GridUse(const std::str
     const std::function<void(openvdb::GridBase::Ptr)>& take)
 {
     openvdb::initialize();
+    // Its reader trusts the sizes it finds and writes past its memory where they are damaged. It
+    // serves delayed loading alone, which is not used here: read as data of an unknown type.
+    openvdb::io::DelayedLoadMetadata::unregisterType();
     try {
         verifyFile(path);
         std::vector<char> buffer(std::size_t{1} << 16); // outlives the stream that uses it
