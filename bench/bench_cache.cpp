@@ -3,6 +3,8 @@
 /// cache's bias:
 /// lumivdb_bench_cache SCENE [key=value ...], see usage().
 
+#include "free_points.h"
+
 #include <lumivdb/bake/bake.h>
 #include <lumivdb/bake/environment.h>
 #include <lumivdb/bake/radiance_cache.h>
@@ -98,26 +100,6 @@ bool parse(int argc, char** argv, Settings& s)
             return false;
     }
     return true;
-}
-
-/// Free-space points of a box.
-std::vector<Vec3d> freePoints(const Tracer& tracer, const Box3d& box, std::size_t count)
-{
-    ProbeOptions look;
-    look.rays = 64;
-    look.contribution = Contribution::Direct;
-    const ProbeEstimator estimator(tracer, look);
-    ProbeEstimator::Workspace workspace;
-    std::vector<Vec3d> points;
-    CounterRng rng(1);
-    for (std::size_t tries = 0; points.size() < count && tries < 100 * count; ++tries) {
-        Vec3d p;
-        for (int a = 0; a < 3; ++a) {
-            p[a] = box.min[a] + rng.nextDouble() * (box.max[a] - box.min[a]);
-        }
-        if (estimator.radianceSh(p, 1, tries, workspace).validity > 0.9f) points.push_back(p);
-    }
-    return points;
 }
 
 /// Of all threads: what else the machine does shows little in it.

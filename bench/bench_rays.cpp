@@ -3,10 +3,11 @@
 /// same run, on one thread and on two:
 /// lumivdb_bench_rays SCENE [ENVIRONMENT] [rays per point] [points] [repeats]
 
+#include "free_points.h"
+
 #include <lumivdb/bake/environment.h>
 #include <lumivdb/bake/ray_benchmark.h>
 #include <lumivdb/core/error.h>
-#include <lumivdb/core/random.h>
 
 #include <cstdio>
 #include <cstdlib>
@@ -14,27 +15,6 @@
 using namespace lumivdb;
 
 namespace {
-
-/// Free-space points of the scene's box.
-std::vector<Vec3d> freePoints(const Tracer& tracer, std::size_t count)
-{
-    const Box3d box = tracer.scene().bounds();
-    ProbeOptions look;
-    look.rays = 64;
-    look.contribution = Contribution::Direct;
-    const ProbeEstimator estimator(tracer, look);
-    ProbeEstimator::Workspace workspace;
-    std::vector<Vec3d> points;
-    CounterRng rng(1);
-    for (std::size_t tries = 0; points.size() < count && tries < 100 * count; ++tries) {
-        Vec3d p;
-        for (int a = 0; a < 3; ++a) {
-            p[a] = box.min[a] + rng.nextDouble() * (box.max[a] - box.min[a]);
-        }
-        if (estimator.radianceSh(p, 1, tries, workspace).validity > 0.9f) points.push_back(p);
-    }
-    return points;
-}
 
 constexpr int kThreads = 2;
 
@@ -66,8 +46,8 @@ int run(int argc, char** argv)
     const Tracer tracer(scene);
     const std::size_t points = argc > 4 ? std::strtoul(argv[4], nullptr, 10) : 100;
     const int repeats = argc > 5 ? std::atoi(argv[5]) : 5;
-    const RayBenchmark b
-        = benchmarkRays(tracer, options, 3, freePoints(tracer, points), repeats, kThreads);
+    const RayBenchmark b = benchmarkRays(
+        tracer, options, 3, freePoints(tracer, scene->bounds(), points), repeats, kThreads);
     std::printf("%s: %.0f rays, %.0f%% shadow rays, relative stderr of E %.2f%% at %d rays\n",
         argv[1], static_cast<double>(b.rays), 100 * b.shadowShare, 100 * b.relativeStderr,
         options.rays);
