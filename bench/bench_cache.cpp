@@ -21,6 +21,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <ctime>
+#include <limits>
 #include <sstream>
 
 using namespace lumivdb;
@@ -198,7 +199,7 @@ std::vector<Cost> curve(const char* name, const Tracer& tracer, ProbeOptions opt
 }
 
 /// Seconds of one probe at @a error: between the measured counts, or beyond them (@a beyond) along
-/// the line of the last four, in logarithms.
+/// the line of the last four, in logarithms; infinite where the error no longer falls.
 double secondsAt(const std::vector<Cost>& costs, double error, bool& beyond)
 {
     const auto line = [&](const Cost& a, const Cost& b) {
@@ -210,6 +211,9 @@ double secondsAt(const std::vector<Cost>& costs, double error, bool& beyond)
         if (costs[i].error <= error) return line(costs[i - 1], costs[i]);
     }
     beyond = true;
+    // A biased curve ends flat, and no line from there leads to the error.
+    const Cost& before = costs[costs.size() - std::min<std::size_t>(costs.size(), 2)];
+    if (!(costs.back().error < 0.9 * before.error)) return std::numeric_limits<double>::infinity();
     return line(costs[costs.size() - std::min<std::size_t>(costs.size(), 4)], costs.back());
 }
 
