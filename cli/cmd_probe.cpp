@@ -209,7 +209,10 @@ void ProbeCommand::run(const Arguments& arguments)
     }
     ProgressBar progress(mCommon.console.progressStyle());
     TracerOptions options;
-    options.expectedRays = static_cast<double>(points.positions.size()) * mProbe.rays;
+    // A cache takes millions of rays, whatever the points: then it is left unknown.
+    if (mIntegrator == Integrator::Path) {
+        options.expectedRays = static_cast<double>(points.positions.size()) * mProbe.rays;
+    }
     const Tracer tracer(scene, &progress, options);
     throwIfInterrupted();
     const std::vector<ProbeResult> probed = probeAll(tracer, points.positions, progress);
