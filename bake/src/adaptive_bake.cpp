@@ -25,6 +25,8 @@ constexpr std::size_t kVerifyPoints = 1024, kMaxVerifyPoints = 4096;
 constexpr double kReferenceShare = 0.3;
 constexpr double kMaxReferenceRays = 16384;
 constexpr std::uint64_t kVerifyStream = 0x3b97f1c5d8e2a604ull;
+/// Mean of Σ w² of trilinear weights over a cell: how much of its corners' noise it keeps.
+constexpr double kInterpolatedNoise = 0.3;
 /// Gradients stay where trilinear interpolation is at least this much more wrong, as RMS.
 constexpr double kGradientsPay = 1.2;
 
@@ -65,7 +67,7 @@ public:
         mReport.tracedSamples = mStore->size();
         mReport.rays += mStore->rays() + mDroppedRays;
         mReport.meanRelativeStderr = mStore->meanRelativeStderr();
-        mReport.raysPerSample = mPlan.samples.probe.rays;
+        mReport.raysPerSample = mStore->meanDirections();
         return volume;
     }
 
@@ -137,6 +139,7 @@ private:
     AchievedError verify(const IrradianceVolume& volume, std::size_t count, int round);
     EvaluateReport judge(const IrradianceVolume& volume, const EvaluateOptions& evaluate) const;
     void drawPoints(std::size_t count, std::uint64_t key, EvaluateOptions& evaluate) const;
+    double noise2() const;
     double nextThreshold(double threshold) const;
     void summarise(double threshold, int rounds);
     void warnOfPointLights();
@@ -305,7 +308,7 @@ AchievedError AdaptiveBake::verify(const IrradianceVolume& volume, std::size_t c
     const bool cached = mPlan.samples.probe.cache != nullptr;
     const double noisePerRay = cached ? mReport.bias.pathNoise : mPlan.noisePerRay;
     const double wanted = std::pow(noisePerRay / (kReferenceShare * mPlan.goal), 2);
-    const double most = cached
+    const double most = cached || mOptions.target.chooseRays
         ? kMaxReferenceRays
         : std::clamp(8.0 * mPlan.samples.probe.rays, 1024.0, kMaxReferenceRays);
     evaluate.rays = static_cast<int>(std::clamp(wanted, 256.0, most));
@@ -343,13 +346,29 @@ void AdaptiveBake::reconsiderGradients()
     start();
 }
 
+/// Mean squared standard error of the corners of all cells, which count by their volume.
+double AdaptiveBake::noise2() const
+{
+    Vec3d sum(0.0);
+    for (const CellKey& cell : mCells.cells) {
+        const double share = mRefiner->share(cell) / 8;
+        for (int i = 0; i < 8; ++i) {
+            sum += Vec3d(mStore->info(mStore->find(cell.corner(i))).variance) * share;
+        }
+    }
+    double worst = 0;
+    for (int c = 0; c < 3; ++c) {
+        const double mean = mPlan.meanE[c];
+        if (mean > 0) worst = std::max(worst, sum[c] / (mean * mean));
+    }
+    return worst;
+}
+
 /// Lower, in proportion to how far interpolation alone has to go.
 double AdaptiveBake::nextThreshold(double threshold) const
 {
     const AchievedError& a = mReport.achieved;
-    const double noise
-        = mPlan.noisePerRay / std::sqrt(static_cast<double>(mPlan.samples.probe.rays));
-    const double fixed2 = std::pow(mPlan.truncation, 2) + 0.3 * noise * noise;
+    const double fixed2 = std::pow(mPlan.truncation, 2) + kInterpolatedNoise * noise2();
     const double target2 = std::pow(mPlan.goal, 2);
     const double now = std::sqrt(std::max(1e-12, a.upper * a.upper - fixed2));
     const double wanted = std::sqrt(std::max(0.05 * target2, target2 - fixed2));
@@ -362,6 +381,10 @@ void AdaptiveBake::summarise(double threshold, int rounds)
     mReport.decisions.push_back("error threshold " + percentText(threshold) + " in the coarsest "
         + "cells, after " + std::to_string(rounds) + (rounds == 1 ? " round" : " rounds")
         + " of measuring at new points");
+    if (mPlan.samples.stop.most > 0) {
+        mReport.decisions.push_back(
+            "rays " + std::to_string(mStore->meanDirections()) + " per sample on average");
+    }
     if (a.met) return;
     mReport.warnings.push_back("The target error " + percentText(mOptions.target.error)
         + " is not met: " + percentText(a.relRmse) + " was reached, at most " + percentText(a.upper)

@@ -25,6 +25,14 @@ constexpr int kPilotRays = 256, kTargetPilotRays = 1024;
 /// Shares of a target that the pieces may take, as standard deviations; the rest is for
 /// interpolation.
 constexpr double kTruncationShare = 0.6, kNoiseShare = 0.5;
+/// Least and most directions of a sample where the bake chooses.
+constexpr int kFirstRays = 32, kMostRays = 1 << 20;
+/// The most that one sample's standard error may be, in shares of the target.
+constexpr double kMostNoise = 1;
+/// Where finer lattices stand for half as much space each (they follow surfaces) and their samples
+/// have directions as the square root of their cells' volume, noise is this many times as much as
+/// if all were of the coarsest: Σ 2^(j/2) / Σ 2^−j, j < 6.
+constexpr double kLevelsShare = 8.6;
 /// What dropped bands may change where bands are chosen without a target.
 constexpr double kTruncation = 0.005;
 
@@ -192,14 +200,21 @@ private:
         decide(why);
     }
 
+    /// As many as each sample's own noise asks for, and the space it stands for.
     void chooseRays(const Pilot& pilot)
     {
-        const double wanted = std::pow(pilot.noisePerRay / (kNoiseShare * mPlan.goal), 2);
-        int rays = 64;
-        while (rays < wanted && rays < (1 << 20)) rays *= 2;
-        mPlan.samples.probe.rays = rays;
-        decide("rays " + std::to_string(rays) + " per sample: standard error "
-            + percentText(pilot.noisePerRay / std::sqrt(rays)) + " of the mean irradiance"
+        const double noise = kNoiseShare * mPlan.goal;
+        mPlan.samples.probe.rays = kFirstRays;
+        mPlan.samples.levels = mPlan.levels;
+        StopRule& stop = mPlan.samples.stop;
+        stop.meanE = pilot.meanE;
+        stop.perDeviation = kLevelsShare * pilot.meanNoisePerRay / (noise * noise);
+        stop.tolerance = kMostNoise * mPlan.goal;
+        stop.most = kMostRays;
+        decide("rays " + std::to_string(kFirstRays)
+            + " per sample at least, doubled where its own standard error is above "
+            + percentText(stop.tolerance)
+            + " of the mean irradiance, or above less where it stands for much space"
             + (mPlan.goal > mOptions.target.error
                     ? "; with what the bands leave out the target is out of reach, so no more"
                     : ""));

@@ -10,6 +10,10 @@ namespace lumivdb {
 
 namespace {
 
+constexpr double kBelowOne = 0x1.fffffffffffffp-1;
+/// Separates the numbers of later sets from those of the first.
+constexpr std::uint64_t kSetStream = 0x7be5149f0d3c62a9ull;
+
 /// The even bits of @a v, together.
 constexpr std::uint64_t evenBits(std::uint64_t v)
 {
@@ -83,16 +87,40 @@ double jitteredStratum(std::uint64_t seed, std::uint64_t i, std::uint64_t count)
 {
     CounterRng rng(hashCombine(mixBits(seed), i));
     const double t = (static_cast<double>(i) + rng.nextDouble()) / static_cast<double>(count);
-    return std::min(t, 0x1.fffffffffffffp-1);
+    return std::min(t, kBelowOne);
 }
 
-std::vector<Vec3f> stratifiedDirections(std::uint64_t seed, int count)
+std::vector<double> nestedPositions(std::uint64_t seed, std::uint64_t count, int set)
 {
-    std::vector<Vec3f> directions(static_cast<std::size_t>(count));
-    for (std::size_t i = 0; i < directions.size(); ++i) {
-        const double t = jitteredStratum(seed, i, directions.size());
-        directions[i] = Vec3f(squareToSphere(hilbertPoint(t)));
+    std::vector<double> all(count);
+    for (std::uint64_t i = 0; i < count; ++i) all[i] = jitteredStratum(seed, i, count);
+    std::vector<double> added = all;
+    for (int k = 1; k <= set; ++k) {
+        const std::uint64_t stream = hashCombine(mixBits(seed ^ kSetStream), std::uint64_t(k));
+        const auto halves = static_cast<double>(2 * all.size());
+        std::vector<double> both;
+        both.reserve(2 * all.size());
+        added.resize(all.size());
+        for (std::size_t i = 0; i < all.size(); ++i) {
+            const auto first = static_cast<double>(2 * i);
+            const bool upper = all[i] * halves >= first + 1;
+            CounterRng rng(hashCombine(stream, i));
+            const double half = upper ? first : first + 1;
+            added[i] = std::min((half + rng.nextDouble()) / halves, kBelowOne);
+            both.push_back(upper ? added[i] : all[i]);
+            both.push_back(upper ? all[i] : added[i]);
+        }
+        all = std::move(both);
     }
+    return added;
+}
+
+std::vector<Vec3f> stratifiedDirections(std::uint64_t seed, int count, int set)
+{
+    const auto positions = nestedPositions(seed, static_cast<std::uint64_t>(count), set);
+    std::vector<Vec3f> directions;
+    directions.reserve(positions.size());
+    for (const double t : positions) directions.emplace_back(squareToSphere(hilbertPoint(t)));
     return directions;
 }
 

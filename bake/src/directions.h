@@ -34,7 +34,14 @@ Vec2f sphereToSquare(const Vec3f& d);
 /// alone: the t of hilbertPoint().
 double jitteredStratum(std::uint64_t seed, std::uint64_t i, std::uint64_t count);
 
-/// @a count unit directions, stratified over the sphere, neighbours in order.
-std::vector<Vec3f> stratifiedDirections(std::uint64_t seed, int count);
+/// Jittered positions in [0, 1) in nested strata, ascending. Set 0 has jitteredStratum() of each of
+/// @a count strata. Set k > 0 has one position in each of count·2^(k−1), in the half that the sets
+/// before left empty: sets 0 … k together have one in each of count·2^k strata, as if they had been
+/// drawn at once (the van der Corput order of He & Owen's extensible grids, JRSS B 78(4), 2016).
+std::vector<double> nestedPositions(std::uint64_t seed, std::uint64_t count, int set);
+
+/// Unit directions stratified over the sphere, neighbours in order: hilbertPoint() of
+/// nestedPositions().
+std::vector<Vec3f> stratifiedDirections(std::uint64_t seed, int count, int set = 0);
 
 } // namespace lumivdb

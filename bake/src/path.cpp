@@ -93,13 +93,12 @@ Environment::Arrival background(const Tracer::Impl& impl, const Vec3f& d)
     return light;
 }
 
-ProbeStratum makeStratum(const Tracer::Impl& impl, const ProbeOptions& options,
-    const Vec3f& direction, std::uint64_t number)
+ProbeStratum makeStratum(
+    const Tracer::Impl& impl, const ProbeOptions& options, const Vec3f& direction, double position)
 {
     ProbeStratum stratum;
     if (options.contribution == Contribution::Indirect) return stratum;
-    stratum.t = jitteredStratum(
-        options.seed ^ kEmitterStream, number, static_cast<std::uint64_t>(options.rays));
+    stratum.t = position;
     const EmitterSample s
         = impl.emitters.empty() ? EmitterSample() : sampleStratum(impl, Vec3f(0), stratum.t);
     if (s.infinite && s.pdf > 0) {
@@ -113,12 +112,15 @@ ProbeStratum makeStratum(const Tracer::Impl& impl, const ProbeOptions& options,
 
 } // namespace
 
-std::vector<ProbeStratum> probeStrata(
-    const Tracer::Impl& impl, const ProbeOptions& options, const std::vector<Vec3f>& directions)
+std::vector<ProbeStratum> probeStrata(const Tracer::Impl& impl, const ProbeOptions& options,
+    const std::vector<Vec3f>& directions, int set)
 {
+    const auto positions = nestedPositions(
+        options.seed ^ kEmitterStream, static_cast<std::uint64_t>(options.rays), set);
     std::vector<ProbeStratum> strata(directions.size());
-    tbb::parallel_for(std::size_t{0}, strata.size(),
-        [&](std::size_t i) { strata[i] = makeStratum(impl, options, directions[i], i); });
+    tbb::parallel_for(std::size_t{0}, strata.size(), [&](std::size_t i) {
+        strata[i] = makeStratum(impl, options, directions[i], positions[i]);
+    });
     return strata;
 }
 
@@ -144,8 +146,9 @@ void PathTracer::trace(const Vec3f& p, const Vec3f* directions, std::uint64_t fi
 {
     const ProbeStratum* strata = mStrata ? mStrata->data() + first : mOwnStrata;
     for (int i = 0; !mStrata && i < count; ++i) {
-        mOwnStrata[i]
-            = makeStratum(mImpl, mOptions, directions[i], first + static_cast<std::uint64_t>(i));
+        const double position = jitteredStratum(mOptions.seed ^ kEmitterStream,
+            first + static_cast<std::uint64_t>(i), static_cast<std::uint64_t>(mOptions.rays));
+        mOwnStrata[i] = makeStratum(mImpl, mOptions, directions[i], position);
     }
     result.traced = 0;
     result.rays.count = 0;

@@ -56,9 +56,9 @@ struct ProbeStratum {
     Color background{0, 0, 0}; ///< what a ray that meets nothing brings, weighted
 };
 
-/// Of all strata, in the order of @a directions.
-std::vector<ProbeStratum> probeStrata(
-    const Tracer::Impl& impl, const ProbeOptions& options, const std::vector<Vec3f>& directions);
+/// Of all strata of nestedPositions()' set number @a set, in the order of @a directions.
+std::vector<ProbeStratum> probeStrata(const Tracer::Impl& impl, const ProbeOptions& options,
+    const std::vector<Vec3f>& directions, int set = 0);
 
 /// The random numbers of one of PathTracer::gather()'s points.
 struct GatherDraw {
@@ -77,6 +77,9 @@ public:
         , mStrata(strata)
     {
     }
+
+    /// From now on trace() takes these.
+    void useStrata(const std::vector<ProbeStratum>& strata) { mStrata = &strata; }
 
     /// Strata [first, first + count) of the probe at @a p (local); count ≤ kBatch.
     void trace(const Vec3f& p, const Vec3f* directions, std::uint64_t first, int count,

@@ -67,20 +67,23 @@ Pilot summarise(const std::vector<Look>& looks, int rays)
     Pilot pilot;
     std::array<Vec3d, kMaxBands + 1> missing;
     missing.fill(Vec3d(0.0)); // a Vec3d is not zero by itself
-    Vec3d noise(0.0);
+    Vec3d noise(0.0), deviations(0.0);
     for (const Look& look : looks) {
         pilot.rays += look.rays;
         if (!look.free) continue;
         ++pilot.points;
+        Vec3d own(0.0);
         for (std::size_t n = 0; n < look.direct.size(); ++n) {
             pilot.meanE += Vec3d(look.direct[n]);
             const Vec3d e(look.error[n]);
-            noise += e * e;
+            own += e * e;
             for (std::size_t b = 1; b <= kMaxBands; ++b) {
                 const Vec3d d(look.expanded[(b - 1) * look.direct.size() + n] - look.direct[n]);
                 missing[b] += d * d;
             }
         }
+        noise += own;
+        for (int c = 0; c < 3; ++c) deviations[c] += std::sqrt(own[c] * kNormals);
     }
     const double count = std::max<double>(1.0, static_cast<double>(pilot.points) * kNormals);
     pilot.meanE /= count;
@@ -92,6 +95,8 @@ Pilot summarise(const std::vector<Look>& looks, int rays)
             pilot.truncation[b] = std::max(pilot.truncation[b], relative(missing[b]));
         }
         pilot.noisePerRay = std::max(pilot.noisePerRay, relative(noise) * std::sqrt(rays));
+        pilot.meanNoisePerRay = std::max(
+            pilot.meanNoisePerRay, deviations[c] / count / pilot.meanE[c] * std::sqrt(rays));
     }
     return pilot;
 }

@@ -18,6 +18,8 @@ struct Pilot {
     std::array<double, kMaxBands + 1> truncation{};
     /// RMS standard error of irradiance with one ray / mean; with N rays it is 1/√N of that.
     double noisePerRay = 0;
+    /// Mean over points of each one's own, at most as much.
+    double meanNoisePerRay = 0;
     std::uint64_t rays = 0;
 };
 

@@ -12,6 +12,7 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <mutex>
@@ -24,6 +25,8 @@ constexpr double kPi = 3.14159265358979323846;
 /// Strata a chunk: sums of chunks are added in order, so chunks may be traced by any thread.
 constexpr int kChunk = 4096;
 constexpr int kMaxRays = 1 << 26;
+/// Sets of directions: the first, and each doubles their number.
+constexpr int kMaxSets = 26;
 /// Chunks in flight: bounds the memory of what they bring back.
 constexpr std::size_t kWave = 256;
 
@@ -173,6 +176,17 @@ struct Shot {
     std::uint64_t key;
 };
 
+/// A_l² / 4π for every coefficient.
+std::array<double, kMaxCoefficients> irradianceWeights()
+{
+    std::array<double, kMaxCoefficients> w;
+    for (int i = 0; i < kMaxCoefficients; ++i) {
+        const double a = kCosineLobe[static_cast<std::size_t>(degreeOf(i))];
+        w[static_cast<std::size_t>(i)] = a * a / (4 * kPi);
+    }
+    return w;
+}
+
 template <class Basis>
 void traceChunk(const Shot& shot, const Basis& basis, std::size_t first,
     GradientCollector* gradient, Scratch& w)
@@ -181,6 +195,7 @@ void traceChunk(const Shot& shot, const Basis& basis, std::size_t first,
     w.sums.reset(static_cast<std::size_t>(basis.count()));
     w.previous.assign(w.sums.sum.size(), 0.0f);
     w.batch.wantPlanes = gradient != nullptr;
+    w.paths.useStrata(shot.strata);
     for (std::size_t i = first; i < last; i += kBatch) {
         const int n = static_cast<int>(std::min<std::size_t>(kBatch, last - i));
         w.paths.trace(shot.p, shot.directions.data() + i, i, n, shot.key, w.batch);
@@ -224,15 +239,14 @@ Sums traceChunks(const Shot& shot, const Basis& basis, Scratch& own, GradientScr
     return total;
 }
 
-/// Point, spot and directional lights: one direction each, no noise. Returns the rays traced.
+/// Point, spot and directional lights: one direction each, no noise.
 template <class Basis>
-std::uint64_t addPunctual(const PathTracer& paths, const Tracer::Impl& impl, const Vec3f& p,
-    const Basis& basis, std::vector<double>& values, GradientSums* gradient)
+void addPunctual(const std::vector<PunctualSample>& samples, const Tracer::Impl& impl,
+    const Vec3f& p, const Basis& basis, std::vector<double>& values, GradientSums* gradient)
 {
     std::vector<float> y(static_cast<std::size_t>(basis.count()));
-    std::uint64_t traced = 0;
-    for (std::size_t l = 0; l < impl.scene->lights.size(); ++l) {
-        const PunctualSample s = paths.punctual(l, p, traced);
+    for (std::size_t l = 0; l < samples.size(); ++l) {
+        const PunctualSample& s = samples[l];
         if (s.irradiance == Color(0.0f)) continue;
         if (gradient) {
             const Light& light = impl.scene->lights[l];
@@ -246,7 +260,49 @@ std::uint64_t addPunctual(const PathTracer& paths, const Tracer::Impl& impl, con
             }
         }
     }
-    return traced;
+}
+
+/// Adds a set of directions that all sets before, of @a all, have left room for. Noise: the new
+/// ones lie as dense as all before together, so a direction's part is known from them alone.
+void addSet(ProbeResult& all, const ProbeResult& added)
+{
+    const auto n = static_cast<double>(all.directions), m = static_cast<double>(added.directions);
+    const double wn = n / (n + m), wm = m / (n + m);
+    const auto mix = [&](std::vector<Color>& a, const std::vector<Color>& b) {
+        for (std::size_t i = 0; i < a.size(); ++i) {
+            a[i] = a[i] * static_cast<float>(wn) + b[i] * static_cast<float>(wm);
+        }
+    };
+    mix(all.value, added.value);
+    mix(all.gradient, added.gradient);
+    for (std::size_t i = 0; i < all.stderr_.size(); ++i) {
+        all.stderr_[i] = added.stderr_[i] * static_cast<float>(std::sqrt(wm));
+    }
+    all.validity = static_cast<float>(wn * all.validity + wm * added.validity);
+    const double inverse
+        = wn / static_cast<double>(all.distance) + wm / static_cast<double>(added.distance);
+    all.distance
+        = inverse > 0 ? static_cast<float>(1 / inverse) : std::numeric_limits<float>::infinity();
+    all.minDistance = std::min(all.minDistance, added.minDistance);
+    all.rays += added.rays;
+    all.directions += added.directions;
+}
+
+bool isEnough(const ProbeResult& r, int bands, const StopRule& stop)
+{
+    if (2 * r.directions > static_cast<std::uint64_t>(stop.most)) return true;
+    const Vec3d variance = irradianceNorm2(bands, r.stderr_.data());
+    const Vec3d own2 = irradianceNorm2(bands, r.value.data());
+    double noise = 0, ownNoise = 0;
+    for (int c = 0; c < 3; ++c) {
+        const double mean = stop.meanE[c], deviation = std::sqrt(variance[c]);
+        if (!(mean > 0)) continue;
+        noise = std::max(noise, deviation / mean);
+        ownNoise = std::max(ownNoise, deviation / std::max(mean, std::sqrt(own2[c])));
+    }
+    // N >= perDeviation σ with σ = noise √N
+    return ownNoise <= stop.tolerance
+        && std::sqrt(static_cast<double>(r.directions)) >= stop.perDeviation * noise;
 }
 
 /// Values, errors and what the rays saw. The sums are means by now.
@@ -270,6 +326,7 @@ ProbeResult resultOf(const Sums& total, std::size_t strata)
                                            : std::numeric_limits<float>::infinity();
     r.minDistance = total.minDistance;
     r.rays = total.traced;
+    r.directions = strata;
     return r;
 }
 
@@ -306,11 +363,32 @@ struct ProbeEstimator::Workspace::Impl {
     std::unique_ptr<GradientScratch> gradient;
 };
 
-/// What all points share. Gradients' tables are made by whichever thread asks first.
-struct ProbeEstimator::Tables {
+/// Directions, and what they have in common at all points.
+struct ProbeEstimator::Set {
+    std::vector<Vec3f> directions;
     std::vector<ProbeStratum> strata;
-    std::once_flag once;
-    std::unique_ptr<const GradientTables> gradient;
+    mutable std::once_flag once;
+    mutable std::unique_ptr<const GradientTables> gradient;
+
+    Set(const Tracer::Impl& impl, const ProbeOptions& options, int number)
+        : directions(stratifiedDirections(options.seed, options.rays, number))
+        , strata(probeStrata(impl, options, directions, number))
+    {
+    }
+};
+
+/// What all points share. Sets and gradients' tables are made by whichever thread asks first.
+struct ProbeEstimator::Tables {
+    std::array<std::once_flag, kMaxSets> once;
+    std::array<std::unique_ptr<const Set>, kMaxSets> sets;
+};
+
+/// A point, local, and what all its sets of directions share.
+struct ProbeEstimator::Place {
+    Vec3f p;
+    std::uint64_t key;
+    std::vector<PunctualSample> lights;
+    std::uint64_t traced = 0; ///< shadow rays to the lights
 };
 
 ProbeEstimator::Workspace::Workspace()
@@ -324,65 +402,105 @@ ProbeEstimator::ProbeEstimator(const Tracer& tracer, const ProbeOptions& options
     , mOptions(options)
 {
     options.validate();
-    mDirections = stratifiedDirections(options.seed, options.rays);
     mTables = std::make_shared<Tables>();
-    mTables->strata = probeStrata(tracer.impl(), options, mDirections);
+    set(0);
 }
 
 ProbeEstimator::~ProbeEstimator() = default;
 
-template <class Basis>
-ProbeResult ProbeEstimator::estimate(const Vec3d& world, const Basis& basis, std::uint64_t key,
-    Workspace& workspace, int gradientBands) const
+const ProbeEstimator::Set& ProbeEstimator::set(int number) const
+{
+    const auto i = static_cast<std::size_t>(number);
+    std::call_once(mTables->once[i],
+        [&] { mTables->sets[i] = std::make_unique<Set>(mTracer.impl(), mOptions, number); });
+    return *mTables->sets[i];
+}
+
+ProbeEstimator::Place ProbeEstimator::placeAt(
+    const Vec3d& world, std::uint64_t key, Workspace& workspace) const
 {
     const Tracer::Impl& impl = mTracer.impl();
     Workspace::Impl& own = *workspace.mImpl;
-    if (!own.scratch) own.scratch = std::make_unique<Scratch>(impl, mOptions, mTables->strata);
+    if (!own.scratch) own.scratch = std::make_unique<Scratch>(impl, mOptions, set(0).strata);
+    Place place{impl.toLocal(world), key, {}};
+    if (mOptions.contribution == Contribution::Indirect) return place;
+    for (std::size_t l = 0; l < impl.scene->lights.size(); ++l) {
+        place.lights.push_back(own.scratch->paths.punctual(l, place.p, place.traced));
+    }
+    return place;
+}
+
+template <class Basis>
+ProbeResult ProbeEstimator::estimate(const Place& place, const Basis& basis, int number,
+    Workspace& workspace, int gradientBands) const
+{
+    const Set& shared = set(number);
+    const Tracer::Impl& impl = mTracer.impl();
+    Workspace::Impl& own = *workspace.mImpl;
     std::unique_ptr<GradientScratch> several;
     GradientScratch* gradient = nullptr;
     if (gradientBands > 0) {
         // While chunks are traced in parallel, this thread may be given another point with the same
         // workspace: what lives as long is not kept there.
-        auto& kept = mDirections.size() > kChunk ? several : own.gradient;
+        auto& kept = shared.directions.size() > kChunk ? several : own.gradient;
         if (!kept) kept = std::make_unique<GradientScratch>();
         gradient = kept.get();
-        gradient->tables = &gradientTables();
+        gradient->tables = &gradientTables(shared);
         gradient->bands = gradientBands;
         gradient->sums.reset(*gradient->tables, gradientBands);
     }
 
-    const Shot shot{impl, mOptions, mDirections, mTables->strata, impl.toLocal(world), key};
+    const std::uint64_t key
+        = number == 0 ? place.key : hashCombine(place.key, static_cast<std::uint64_t>(number));
+    const Shot shot{impl, mOptions, shared.directions, shared.strata, place.p, key};
     Sums total = traceChunks(shot, basis, *own.scratch, gradient);
-    for (double& s : total.sum) s /= static_cast<double>(mDirections.size());
-    if (mOptions.contribution != Contribution::Indirect) {
-        total.traced += addPunctual(own.scratch->paths, impl, shot.p, basis, total.sum,
-            gradient ? &gradient->sums : nullptr);
-    }
-    ProbeResult r = resultOf(total, mDirections.size());
+    for (double& s : total.sum) s /= static_cast<double>(shared.directions.size());
+    addPunctual(
+        place.lights, impl, place.p, basis, total.sum, gradient ? &gradient->sums : nullptr);
+    if (number == 0) total.traced += place.traced;
+    ProbeResult r = resultOf(total, shared.directions.size());
     if (gradient) r.gradient = gradient->sums.finish();
     return r;
 }
 
-const GradientTables& ProbeEstimator::gradientTables() const
+const GradientTables& ProbeEstimator::gradientTables(const Set& shared) const
 {
-    std::call_once(mTables->once, [this] {
+    std::call_once(shared.once, [&] {
         const bool direct = mOptions.contribution != Contribution::Indirect;
-        mTables->gradient = std::make_unique<GradientTables>(
-            mDirections.size(), direct ? mTracer.impl().scene->environment.get() : nullptr);
+        shared.gradient = std::make_unique<GradientTables>(
+            shared.directions.size(), direct ? mTracer.impl().scene->environment.get() : nullptr);
     });
-    return *mTables->gradient;
+    return *shared.gradient;
 }
 
-ProbeResult ProbeEstimator::radianceSh(
-    const Vec3d& p, int bands, std::uint64_t key, Workspace& workspace, bool analyticGradient) const
+ProbeResult ProbeEstimator::radianceSh(const Vec3d& p, int bands, std::uint64_t key,
+    Workspace& workspace, bool analyticGradient, const StopRule& stop) const
 {
-    return estimate(p, ShFunctions{bands}, key, workspace, analyticGradient ? bands : 0);
+    const ShFunctions basis{bands};
+    const int gradientBands = analyticGradient ? bands : 0;
+    const Place place = placeAt(p, key, workspace);
+    ProbeResult r = estimate(place, basis, 0, workspace, gradientBands);
+    for (int k = 1; k < kMaxSets && !isEnough(r, bands, stop); ++k) {
+        addSet(r, estimate(place, basis, k, workspace, gradientBands));
+    }
+    return r;
 }
 
 ProbeResult ProbeEstimator::irradiance(const Vec3d& p, const std::vector<Vec3f>& normals,
     std::uint64_t key, Workspace& workspace) const
 {
-    return estimate(p, CosineFunctions{normals}, key, workspace, 0);
+    return estimate(placeAt(p, key, workspace), CosineFunctions{normals}, 0, workspace, 0);
+}
+
+Vec3d irradianceNorm2(int bands, const Color* d)
+{
+    static const std::array<double, kMaxCoefficients> weights = irradianceWeights();
+    Vec3d sum(0.0);
+    for (int i = 0; i < coefficientCount(bands); ++i) {
+        const Vec3d v(d[i]);
+        sum += v * v * weights[static_cast<std::size_t>(i)];
+    }
+    return sum;
 }
 
 } // namespace lumivdb

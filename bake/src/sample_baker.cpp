@@ -11,7 +11,6 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
-#include <array>
 #include <atomic>
 #include <cmath>
 #include <cstring>
@@ -26,22 +25,12 @@ constexpr double kOnSurface = 1e-3;
 /// The same in sizes of the scene: rays begin at single-precision positions.
 constexpr double kSceneClearance = 2e-6;
 
-/// A_l² / 4π for every coefficient.
-std::array<double, kMaxCoefficients> irradianceWeights()
-{
-    std::array<double, kMaxCoefficients> w;
-    for (int i = 0; i < kMaxCoefficients; ++i) {
-        const double a = kCosineLobe[static_cast<std::size_t>(degreeOf(i))];
-        w[static_cast<std::size_t>(i)] = a * a / (4 * 3.14159265358979323846);
-    }
-    return w;
-}
-
 /// What the journal calls samples of these settings.
 SampleJournal::Kind kindOf(const SampleSettings& settings)
 {
     // Taken apart, so that a new member does not compile before it has found its place here.
-    const auto& [probe, bands, gradients, spacing, gradientReach, journal] = settings;
+    const auto& [probe, stop, levels, bands, gradients, spacing, gradientReach, journal] = settings;
+    const auto& [meanE, perDeviation, tolerance, most] = stop;
     const auto& [rays, maxBounces, contribution, seed, cache] = probe;
     static_cast<void>(journal);
     const auto bits = [](double v) {
@@ -53,7 +42,9 @@ SampleJournal::Kind kindOf(const SampleSettings& settings)
     for (const std::uint64_t part : {static_cast<std::uint64_t>(rays),
              static_cast<std::uint64_t>(maxBounces), static_cast<std::uint64_t>(contribution), seed,
              static_cast<std::uint64_t>(cache ? 1 : 0), static_cast<std::uint64_t>(bands),
-             static_cast<std::uint64_t>(gradients), bits(spacing), bits(gradientReach)}) {
+             static_cast<std::uint64_t>(gradients), bits(spacing), bits(gradientReach),
+             static_cast<std::uint64_t>(most), static_cast<std::uint64_t>(levels),
+             bits(perDeviation), bits(tolerance), bits(meanE.x), bits(meanE.y), bits(meanE.z)}) {
         kind.settings = hashCombine(kind.settings, part);
     }
     kind.values = static_cast<std::uint32_t>(coefficientCount(bands));
@@ -62,17 +53,6 @@ SampleJournal::Kind kindOf(const SampleSettings& settings)
 }
 
 } // namespace
-
-Vec3d irradianceNorm2(int bands, const Color* d)
-{
-    static const std::array<double, kMaxCoefficients> weights = irradianceWeights();
-    Vec3d sum(0.0);
-    for (int i = 0; i < coefficientCount(bands); ++i) {
-        const Vec3d v(d[i]);
-        sum += v * v * weights[static_cast<std::size_t>(i)];
-    }
-    return sum;
-}
 
 SampleBaker::SampleBaker(const Tracer& tracer, const SampleSettings& settings)
     : mTracer(tracer)
@@ -98,6 +78,16 @@ BakedSample SampleBaker::bake(const Coord& c, ProbeEstimator::Workspace& workspa
     return sample;
 }
 
+StopRule SampleBaker::stopRule(const Coord& c) const
+{
+    StopRule stop = mSettings.stop;
+    const unsigned bits = static_cast<unsigned>(c.x | c.y | c.z);
+    int level = 0;
+    while (level < mSettings.levels && !(bits >> level & 1u)) ++level;
+    stop.perDeviation *= std::pow(2.0, 1.5 * (level - mSettings.levels));
+    return stop;
+}
+
 BakedSample SampleBaker::trace(const Coord& c, ProbeEstimator::Workspace& workspace) const
 {
     const std::uint64_t key = hashPoint(mSettings.probe.seed, c.x, c.y, c.z);
@@ -106,7 +96,8 @@ BakedSample SampleBaker::trace(const Coord& c, ProbeEstimator::Workspace& worksp
     Vec3d p = moveOffSurfaces(mTracer, lattice, mClearance);
     BakedSample sample;
     const auto measure = [&](const Vec3d& place) {
-        ProbeResult r = mEstimator.radianceSh(place, mSettings.bands, key, workspace, analytic);
+        ProbeResult r
+            = mEstimator.radianceSh(place, mSettings.bands, key, workspace, analytic, stopRule(c));
         sample.rays += r.rays;
         return r;
     };

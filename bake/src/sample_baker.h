@@ -15,6 +15,10 @@ namespace lumivdb {
 
 struct SampleSettings {
     ProbeOptions probe;
+    /// Of a point of the coarsest lattice. Finer ones stand for less space and may have more noise
+    /// within the tolerance, see SampleBaker.
+    StopRule stop;
+    int levels = 0; ///< the coarsest lattice has every 2^levels-th point
     int bands = 3;
     GradientMethod gradients = GradientMethod::None;
     double spacing = 1; ///< of the lattice
@@ -30,6 +34,9 @@ struct BakedSample {
     std::uint64_t rays = 0;
 };
 
+/// A sample's number of directions is the settings' StopRule's. A point that is on the lattice of
+/// every 2^l-th point but of no coarser one is the corner of cells of 8^l voxels: with volume as
+/// weight, the best number of directions goes as the deviation times the square root of that.
 class SampleBaker {
 public:
     SampleBaker(const Tracer& tracer, const SampleSettings& settings);
@@ -45,6 +52,7 @@ public:
     const SampleSettings& settings() const { return mSettings; }
 
 private:
+    StopRule stopRule(const Coord& c) const;
     BakedSample trace(const Coord& c, ProbeEstimator::Workspace& workspace) const;
     void addGradient(const Vec3d& p, std::uint64_t key, ProbeEstimator::Workspace& workspace,
         BakedSample& sample) const;
@@ -67,8 +75,5 @@ void bakeSamples(const SampleBaker& baker, std::size_t count,
 /// @throws Error(Interrupted).
 std::vector<Vec3f> bakeSamples(const SampleBaker& baker, const IrradianceVolume& volume,
     const std::function<void(SampleId, const BakedSample&)>& store, Progress& progress);
-
-/// Σ A_l² |d_lm|² / 4π per channel: the mean over normals of the squared irradiance of @a d.
-Vec3d irradianceNorm2(int bands, const Color* d);
 
 } // namespace lumivdb

@@ -39,10 +39,10 @@ struct RecordHead {
     std::int32_t x, y, z;
     float validity, distance, minDistance;
     float offset[3], variance[3];
-    std::uint64_t rays, resultRays;
+    std::uint64_t rays, resultRays, directions;
     std::uint32_t values, gradients; // colours of value and of standard error each; of gradient
 };
-static_assert(sizeof(RecordHead) == 80, "no padding goes to the file");
+static_assert(sizeof(RecordHead) == 88, "no padding goes to the file");
 static_assert(sizeof(Color) == 12, "colours are copied as bytes");
 
 /// Bytes of the whole record; 0 where no sample has such sizes.
@@ -299,6 +299,7 @@ bool SampleJournal::take(const Kind& kind, const Coord& c, BakedSample& sample)
     r.distance = head.distance;
     r.minDistance = head.minDistance;
     r.rays = head.resultRays;
+    r.directions = head.directions;
     sample.offset = Vec3f(head.offset[0], head.offset[1], head.offset[2]);
     sample.variance = Color(head.variance[0], head.variance[1], head.variance[2]);
     sample.rays = head.rays;
@@ -315,8 +316,9 @@ void SampleJournal::add(const Kind& kind, const Coord& c, const BakedSample& sam
     const ProbeResult& r = sample.result;
     const Vec3f& o = sample.offset;
     const Color& v = sample.variance;
-    const RecordHead head = {kind.settings, c.x, c.y, c.z, r.validity, r.distance, r.minDistance,
-        {o.x, o.y, o.z}, {v.x, v.y, v.z}, sample.rays, r.rays, kind.values, kind.gradients};
+    const RecordHead head
+        = {kind.settings, c.x, c.y, c.z, r.validity, r.distance, r.minDistance, {o.x, o.y, o.z},
+            {v.x, v.y, v.z}, sample.rays, r.rays, r.directions, kind.values, kind.gradients};
     const bool whole = r.value.size() == kind.values && r.stderr_.size() == kind.values
         && r.gradient.size() == kind.gradients;
     const std::lock_guard<std::mutex> guard(mMutex);

@@ -50,7 +50,7 @@ void SampleStore::trace(const std::vector<Coord>& points, Progress& progress)
     const std::size_t first = mInfo.size();
     mInfo.resize(first + points.size());
     mRecords.resize((first + points.size()) * mStride);
-    std::vector<std::uint64_t> rays(points.size());
+    std::vector<std::uint64_t> rays(points.size()), directions(points.size());
     bakeSamples(
         mBaker, points.size(), [&](std::size_t i) { return points[i]; },
         [&](std::size_t i, const BakedSample& s) {
@@ -60,11 +60,13 @@ void SampleStore::trace(const std::vector<Coord>& points, Progress& progress)
             record = std::copy(s.result.value.begin(), s.result.value.end(), record);
             std::copy(s.result.gradient.begin(), s.result.gradient.end(), record);
             rays[i] = s.rays;
+            directions[i] = s.result.directions;
         },
         progress);
     for (std::size_t i = 0; i < points.size(); ++i) {
         mIndex.emplace(points[i], first + i);
         mRays += rays[i];
+        mDirections += directions[i];
     }
 }
 
@@ -79,6 +81,11 @@ const Color* SampleStore::gradient(std::size_t i) const
 Vec3d SampleStore::measured(std::size_t i) const
 {
     return mBaker.world(mInfo[i].position) + Vec3d(mInfo[i].offset);
+}
+
+int SampleStore::meanDirections() const
+{
+    return static_cast<int>((mDirections + size() / 2) / std::max<std::size_t>(1, size()));
 }
 
 double SampleStore::meanRelativeStderr() const

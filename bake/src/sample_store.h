@@ -47,6 +47,8 @@ public:
     const SampleSettings& settings() const { return mBaker.settings(); }
     std::size_t size() const { return mInfo.size(); }
     std::uint64_t rays() const { return mRays; }
+    /// Directions of a sample, rounded mean over all.
+    int meanDirections() const;
     /// Mean standard error of E over all samples / mean E.
     double meanRelativeStderr() const;
 
@@ -59,7 +61,7 @@ private:
     std::unordered_map<Coord, std::size_t, CoordHash> mIndex;
     std::vector<Color> mRecords;
     std::vector<Info> mInfo;
-    std::uint64_t mRays = 0;
+    std::uint64_t mRays = 0, mDirections = 0;
 };
 
 } // namespace lumivdb

@@ -9,6 +9,7 @@
 
 #include <catch2/catch.hpp>
 
+#include <algorithm>
 #include <cmath>
 #include <set>
 
@@ -177,6 +178,28 @@ TEST_CASE("few directions, other seeds", "[directions]")
                c = stratifiedDirections(2, 64);
     CHECK(a == b);
     CHECK(a != c);
+}
+
+TEST_CASE("nested sets of directions: together one in each finer stratum", "[directions]")
+{
+    for (const std::uint64_t count : {2, 5, 32}) {
+        std::vector<double> all;
+        for (int set = 0; set < 6; ++set) {
+            const std::vector<double> added = nestedPositions(9, count, set);
+            REQUIRE(added.size() == (set == 0 ? count : all.size()));
+            REQUIRE(std::is_sorted(added.begin(), added.end()));
+            all.insert(all.end(), added.begin(), added.end());
+            std::set<std::uint64_t> strata;
+            for (const double t : all) {
+                REQUIRE((t >= 0 && t < 1));
+                strata.insert(static_cast<std::uint64_t>(t * static_cast<double>(all.size())));
+            }
+            REQUIRE(strata.size() == all.size());
+        }
+    }
+    // The first set is what stratifiedDirections() always was.
+    const auto first = nestedPositions(3, 64, 0);
+    for (std::uint64_t i = 0; i < 64; ++i) CHECK(first[i] == jitteredStratum(3, i, 64));
 }
 
 TEST_CASE("evaluation's normals: unit, mean zero, second moment a third", "[directions]")

@@ -80,7 +80,7 @@ struct BakeReport {
     double raysPerSecond = 0;
     double secondsTrace = 0, secondsRefine = 0, secondsVerify = 0;
     double spacing = 0; ///< the one used
-    int raysPerSample = 0; ///< the number used
+    int raysPerSample = 0; ///< the number used; a mean where each sample has its own
     double meanRelativeStderr = 0; ///< mean standard error of E over mean E
     std::size_t cutCells = 0; ///< cells with visibility masks
     AchievedError achieved;

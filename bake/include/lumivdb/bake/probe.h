@@ -19,6 +19,7 @@
 #include <lumivdb/core/sh.h>
 
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <vector>
 
@@ -55,6 +56,21 @@ struct ProbeOptions {
     void validate() const;
 };
 
+/// When a sample has enough rays. Directions are added in sets that double their number, each into
+/// the halves of strata that are still empty, so the number is rays · 2^k and all of them are
+/// stratified together. They are enough when
+///     N ≥ perDeviation · σ/meanE   and   σ/√N ≤ tolerance · max(E, meanE),
+/// σ being the sample's own standard deviation of irradiance per direction and E its irradiance,
+/// RMS over normals both, worst channel. Numbers in proportion to the deviation give the least
+/// error that a number of rays can (Neyman, JRSS 97, 1934). Deciding by the noise of the same rays
+/// biases the mean by a part of 1/N.
+struct StopRule {
+    Vec3d meanE{0, 0, 0};
+    double perDeviation = 0;
+    double tolerance = std::numeric_limits<double>::infinity();
+    int most = 0; ///< directions; ProbeOptions::rays or less: none are added
+};
+
 /// What one point receives. Values are per *basis function*: SH coefficients or irradiances.
 struct ProbeResult {
     std::vector<Color> value; ///< one per basis function
@@ -66,6 +82,7 @@ struct ProbeResult {
     float distance = 0; ///< harmonic mean distance; +inf where all escaped
     float minDistance = 0; ///< smallest; +inf where all escaped
     std::uint64_t rays = 0; ///< rays traced, shadow rays included
+    std::uint64_t directions = 0; ///< ProbeOptions::rays, or what a StopRule made of it
 };
 
 /// Estimates light at points of one scene. Const and thread-safe; each thread brings a Workspace.
@@ -87,7 +104,7 @@ public:
     /// numbers: the same point, key and options give the same bits (see hashPoint()).
     /// With @a analyticGradient, ProbeResult::gradient is filled from the same rays.
     ProbeResult radianceSh(const Vec3d& p, int bands, std::uint64_t key, Workspace& workspace,
-        bool analyticGradient = false) const;
+        bool analyticGradient = false, const StopRule& stop = StopRule()) const;
 
     /// Irradiance for each of @a normals at @a p, without any expansion in between.
     ProbeResult irradiance(const Vec3d& p, const std::vector<Vec3f>& normals, std::uint64_t key,
@@ -96,16 +113,22 @@ public:
     const ProbeOptions& options() const { return mOptions; }
 
 private:
+    struct Set;
+    struct Place;
     template <class Basis>
-    ProbeResult estimate(const Vec3d& p, const Basis& basis, std::uint64_t key,
-        Workspace& workspace, int gradientBands) const;
-    const GradientTables& gradientTables() const;
+    ProbeResult estimate(const Place& place, const Basis& basis, int set, Workspace& workspace,
+        int gradientBands) const;
+    const Set& set(int number) const;
+    Place placeAt(const Vec3d& world, std::uint64_t key, Workspace& workspace) const;
+    const GradientTables& gradientTables(const Set& set) const;
     struct Tables;
     const Tracer& mTracer;
     ProbeOptions mOptions;
-    std::vector<Vec3f> mDirections; // shared by all points
-    std::shared_ptr<Tables> mTables; // shared too
+    std::shared_ptr<Tables> mTables; // shared by all points
 };
+
+/// Σ A_l² |d_lm|² / 4π per channel: the mean over normals of the squared irradiance of @a d.
+Vec3d irradianceNorm2(int bands, const Color* d);
 
 /// Sets @a result.gradient by central differences: six projections at ±δ along the axes, under the
 /// same directions and the same random numbers (@a key). δ is spacing/8, or half the distance to
