@@ -200,7 +200,7 @@ TEST_CASE("a damaged byte costs its block and those behind, nothing else", "[bak
         // The block that holds the byte; the header holds none.
         int block = 0;
         for (std::size_t end = headerEnd; at >= headerEnd; ++block) {
-            end += 16 + 80 + 12 * (2 * kindOf(block).values + kindOf(block).gradients);
+            end += 16 + 88 + 12 * (2 * kindOf(block).values + kindOf(block).gradients);
             if (at < end) break;
         }
         CHECK(held == block);
