@@ -188,6 +188,7 @@ TEST_CASE("resampling to the same spacing changes nothing, to half keeps every s
     IrradianceVolume volume = uniformVolume({-3, 0, 2}, {5, 4, 7}, 2, false);
     volume.metadata().errorReached = -1;
     volume.metadata().errorConfidence = 0;
+    volume.metadata().cacheBias = volume.metadata().cacheBiasUpper = -1;
     const auto mode = Interpolation::Trilinear;
     CHECK(difference(volume, resampleUniform(volume, 0.5, mode)) == "");
     const IrradianceVolume fine = resampleUniform(volume, 0.25, mode);

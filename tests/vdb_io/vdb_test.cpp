@@ -66,6 +66,9 @@ void fillRandom(IrradianceVolume& volume, std::uint64_t seed, float magnitude)
     meta.errorConfidence = 0.95;
     meta.seed = 0xfedcba9876543210ull;
     meta.raysPerSample = 4096;
+    meta.integrator = "cached";
+    meta.cacheBias = 0.0021;
+    meta.cacheBiasUpper = 0.0034;
     meta.options = "bake scene.gltf -o out.vdb --rays 4096";
     meta.sceneHash = "0123456789abcdef";
 }

@@ -2,7 +2,7 @@
 #include "archive.h"
 
 #include "footer.h"
-#include "length_check.h"
+#include "layout_check.h"
 
 #include <lumivdb/core/error.h>
 #include <lumivdb/core/random.h>
@@ -118,18 +118,18 @@ void VdbWriter::finish()
 
 namespace {
 
-using Wants = std::function<GridUse(const std::string&)>;
-using Take = std::function<void(openvdb::GridBase::Ptr)>;
-
 class VdbReader : private io::Archive {
 public:
     VdbReader(std::istream& stream, std::uint64_t fileSize);
     ~VdbReader() override { io::clearStreamMetadataPtr(mStream); }
     int gridCount() const { return mGridCount; }
-    void next(const std::string& path, const Wants& wants, const Take& take);
+    void next(const std::string& path, const WantsGrid& wants, const TakeGrid& take);
 
 private:
-    void readTree(openvdb::GridBase& grid, bool hasTree);
+    void readGrid(openvdb::GridBase& grid, const io::GridDescriptor& descriptor, GridUse use);
+    void readTree(openvdb::GridBase& grid, GridUse use);
+    void checkOffsets(const io::GridDescriptor& descriptor);
+    std::int64_t position() { return std::streamoff(mStream.tellg()); }
 
     std::istream& mStream;
     std::uint64_t mFileSize;
@@ -154,8 +154,17 @@ VdbReader::VdbReader(std::istream& stream, std::uint64_t fileSize)
         throw std::runtime_error("impossible number of grids");
 }
 
-/// What Archive::readGrid() does, with a look ahead at every length.
-void VdbReader::readTree(openvdb::GridBase& grid, bool hasTree)
+void VdbReader::checkOffsets(const io::GridDescriptor& descriptor)
+{
+    const bool ascending = descriptor.getGridPos() == position()
+        && descriptor.getBlockPos() <= descriptor.getEndPos()
+        && descriptor.getEndPos() >= descriptor.getGridPos()
+        && static_cast<std::uint64_t>(descriptor.getEndPos()) <= mFileSize;
+    if (!ascending) throw std::runtime_error("impossible grid offset");
+}
+
+/// What Archive::readGrid() does, with a look ahead at everything that has a size.
+void VdbReader::readGrid(openvdb::GridBase& grid, const io::GridDescriptor& descriptor, GridUse use)
 {
     readGridCompression(mStream);
     mMetadata->setHalfFloat(grid.saveFloatAsHalf());
@@ -167,42 +176,65 @@ void VdbReader::readTree(openvdb::GridBase& grid, bool hasTree)
     io::setGridClass(mStream, grid.getGridClass());
     mMetadata->setLeaf(0);
     grid.removeMeta(openvdb::GridBase::META_FILE_DELAYED_LOAD);
-    checkStrings(mStream, mFileSize, 1);
+    checkTransform(mStream, mFileSize);
     grid.readTransform(mStream);
-    if (!hasTree) return;
-    checkBufferCount(mStream);
-    grid.readTopology(mStream);
-    grid.readBuffers(mStream);
+    if (!descriptor.isInstance()) readTree(grid, use);
+    if (inputHasGridOffsets() && position() != descriptor.getEndPos())
+        throw std::runtime_error("impossible grid offset");
 }
 
-void VdbReader::next(const std::string& path, const Wants& wants, const Take& take)
+void VdbReader::readTree(openvdb::GridBase& grid, GridUse use)
+{
+    TreeLayout layout = layoutOfType(grid.type());
+    layout.half = grid.saveFloatAsHalf();
+    layout.compression = io::getDataCompression(mStream);
+    const auto end = static_cast<std::streamoff>(checkTree(mStream, mFileSize, layout));
+    if (use == GridUse::Skip) {
+        mStream.seekg(end);
+        return;
+    }
+    grid.readTopology(mStream);
+    grid.readBuffers(mStream);
+    if (mStream.tellg() != std::streampos(end))
+        throw std::runtime_error("its tree does not end where it should");
+}
+
+void VdbReader::next(const std::string& path, const WantsGrid& wants, const TakeGrid& take)
 {
     io::GridDescriptor descriptor;
     checkStrings(mStream, mFileSize, 3);
     const openvdb::GridBase::Ptr grid = descriptor.read(mStream);
     const std::string name = descriptor.gridName();
-    const bool skip = wants(name) == GridUse::Skip;
-    if (skip && inputHasGridOffsets()) {
-        if (descriptor.getEndPos() < mStream.tellg())
-            throw std::runtime_error("impossible grid offset");
-        descriptor.seekToEnd(mStream);
-        return;
+    const GridUse use = wants(name, descriptor.gridType());
+    if (inputHasGridOffsets()) {
+        checkOffsets(descriptor);
+        if (use == GridUse::Skip) return descriptor.seekToEnd(mStream);
     }
-    if (descriptor.isInstance() && !skip) {
+    if (descriptor.isInstance() && use == GridUse::Read) {
         throw Error(ErrorCode::Input,
             "Grid '" + name + "' of '" + path
                 + "' shares the tree of another grid; save every channel with its own tree.");
     }
-    readTree(*grid, !descriptor.isInstance());
-    if (skip) return;
+    if (!isKnown(layoutOfType(descriptor.gridType())) && !descriptor.isInstance()) {
+        throw Error(ErrorCode::Input,
+            "Grid '" + name + "' of '" + path + "' has the type " + descriptor.gridType()
+                + ", which is not read; float, vec3s and int32 are.");
+    }
+    try {
+        readGrid(*grid, descriptor, use);
+    } catch (const std::bad_alloc&) {
+        throw;
+    } catch (const std::exception& e) {
+        throw std::runtime_error("grid '" + name + "': " + e.what());
+    }
+    if (use == GridUse::Skip) return;
     grid->setName(name);
     take(grid);
 }
 
 } // namespace
 
-void readVdb(const std::string& path, const std::function<GridUse(const std::string&)>& wants,
-    const std::function<void(openvdb::GridBase::Ptr)>& take)
+void readVdb(const std::string& path, const WantsGrid& wants, const TakeGrid& take)
 {
     openvdb::initialize();
     // Its reader trusts the sizes it finds and writes past its memory where they are damaged. It

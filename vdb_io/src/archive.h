@@ -45,11 +45,15 @@ private:
 /// Whether readVdb() hands a grid over or skips its data.
 enum class GridUse { Read, Skip };
 
-/// Checks the footer where the file says that it has one, then reads grid after grid.
-/// @a wants is asked by name, @a take gets the grid and whether it is stored as half.
+/// By the grid's name and OpenVDB's name of its type.
+using WantsGrid = std::function<GridUse(const std::string& name, const std::string& type)>;
+using TakeGrid = std::function<void(openvdb::GridBase::Ptr)>;
+
+/// Checks the footer where the file says that it has one, then reads grid after grid. Whatever
+/// OpenVDB reads has been checked before (layout_check.h), with a footer or without: a checksum
+/// that fits says nothing about who wrote it.
 /// @throws Error(Input) naming @a path for whatever is wrong with it; exceptions of type Error from
 /// the callbacks pass unchanged.
-void readVdb(const std::string& path, const std::function<GridUse(const std::string&)>& wants,
-    const std::function<void(openvdb::GridBase::Ptr)>& take);
+void readVdb(const std::string& path, const WantsGrid& wants, const TakeGrid& take);
 
 } // namespace lumivdb

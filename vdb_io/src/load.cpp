@@ -363,7 +363,7 @@ IrradianceVolume loadVolume(const std::string& path, Progress* progress)
     VolumeLoader loader(path, progress);
     readVdb(
         path,
-        [](const std::string& name) {
+        [](const std::string& name, const std::string&) {
             return VolumeLoader::isChannel(name) ? GridUse::Read : GridUse::Skip;
         },
         [&loader](const openvdb::GridBase::Ptr& grid) { loader.add(grid); });

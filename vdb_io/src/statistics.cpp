@@ -2,6 +2,7 @@
 #include <lumivdb/vdb_io/statistics.h>
 
 #include "archive.h"
+#include "layout_check.h"
 #include "load.h"
 #include "volume_statistics.h"
 
@@ -73,8 +74,6 @@ ChannelStatistics channelStatistics(const openvdb::GridBase& grid)
         countValues(*scalars, st);
     } else if (const auto* integers = dynamic_cast<const openvdb::Int32Grid*>(&grid)) {
         countValues(*integers, st);
-    } else {
-        st.activeVoxels = grid.activeVoxelCount();
     }
     return st;
 }
@@ -95,7 +94,11 @@ VolumeStatistics computeStatistics(const std::string& path)
     VolumeStatistics st;
     VolumeLoader loader(path, nullptr);
     readVdb(
-        path, [](const std::string&) { return GridUse::Read; },
+        path,
+        [](const std::string& name, const std::string& type) {
+            const bool read = VolumeLoader::isChannel(name) || isKnown(layoutOfType(type));
+            return read ? GridUse::Read : GridUse::Skip;
+        },
         [&](const openvdb::GridBase::Ptr& grid) {
             st.channels.push_back(channelStatistics(*grid));
             const std::string name = grid->getName();

@@ -39,7 +39,7 @@ struct VolumeStatistics {
     double bytesPerSample = 0; ///< file bytes / samples
     std::uint64_t uniformEquivalentSamples
         = 0; ///< samples of a uniform grid of the finest spacing over the bounds
-    std::vector<ChannelStatistics> channels;
+    std::vector<ChannelStatistics> channels; ///< and foreign grids of the same types of value
     /// Mean over samples and channels of Σ_m L_lm² per degree l.
     std::vector<double> bandEnergy;
     std::uint64_t cutCells = 0; ///< with CellVisibility
