@@ -11,6 +11,8 @@
 #include <cmath>
 #include <limits>
 
+#include <unistd.h>
+
 namespace lumivdb {
 
 using openvdb::Int32Tree;
@@ -19,28 +21,47 @@ namespace {
 
 constexpr std::uint64_t kMaxCells = std::uint64_t{1} << 31;
 
-/// Adds the cells whose origin lies in @a box, all of it at level @a level.
-/// @return their number; adds nothing and returns it when @a limit would be passed.
-std::uint64_t addCells(
-    VolumeBuilder& builder, const openvdb::CoordBBox& box, int level, std::uint64_t limit)
+/// The cells of one level whose origin lies in a box: one every 2^level steps from @a first on.
+struct CellsInBox {
+    openvdb::Coord first;
+    std::uint64_t count = 0;
+};
+
+CellsInBox cellsIn(const openvdb::CoordBBox& box, int level)
 {
     const int size = 1 << level;
-    openvdb::Coord first;
+    CellsInBox cells;
     std::uint64_t count = 1;
     for (int a = 0; a < 3; ++a) {
         const std::int64_t aligned = (std::int64_t{box.min()[a]} + size - 1) & -std::int64_t{size};
-        if (aligned > box.max()[a]) return 0;
-        first[a] = static_cast<int>(aligned);
+        if (aligned > box.max()[a]) return cells;
+        cells.first[a] = static_cast<int>(aligned);
         count *= static_cast<std::uint64_t>((box.max()[a] - aligned) / size + 1);
     }
-    if (count > limit) return count;
+    cells.count = count;
+    return cells;
+}
+
+void addCells(VolumeBuilder& builder, const openvdb::CoordBBox& box, int level)
+{
+    const CellsInBox cells = cellsIn(box, level);
+    if (cells.count == 0) return;
+    const openvdb::Coord& first = cells.first;
+    const int size = 1 << level;
     // 64-bit counters: the last step may pass the largest lattice point.
     for (std::int64_t x = first.x(); x <= box.max().x(); x += size)
         for (std::int64_t y = first.y(); y <= box.max().y(); y += size)
             for (std::int64_t z = first.z(); z <= box.max().z(); z += size)
                 builder.addCell(
                     Coord(static_cast<int>(x), static_cast<int>(y), static_cast<int>(z)), level);
-    return count;
+}
+
+/// Of this machine, in bytes; without end where the system does not say.
+std::uint64_t physicalMemory()
+{
+    const long pages = ::sysconf(_SC_PHYS_PAGES), pageBytes = ::sysconf(_SC_PAGESIZE);
+    if (pages <= 0 || pageBytes <= 0) return std::numeric_limits<std::uint64_t>::max();
+    return static_cast<std::uint64_t>(pages) * static_cast<std::uint64_t>(pageBytes);
 }
 
 std::string withoutStop(std::string text)
@@ -105,17 +126,9 @@ void VolumeLoader::makeVolume(const openvdb::GridBase& grid)
         VolumeBuilder builder(mFile.bands,
             mFile.gradients ? GradientStorage::PerCoefficient : GradientStorage::None,
             mIndexToWorld);
-        std::uint64_t cells = 0;
-        for (auto it = level->tree().cbeginValueOn(); it; ++it) {
-            const int k = *it;
-            if (k < -1 || k > kMaxLevel) {
-                fail(where(kLevelGrid) + " holds the level " + std::to_string(k)
-                    + " at lattice point " + pointText(fromVdb(it.getCoord()))
-                    + "; −1 to 12 are possible.");
-            }
-            if (k >= 0) cells += addCells(builder, it.getBoundingBox(), k, kMaxCells - cells);
-            if (cells > kMaxCells) fail(where(kLevelGrid) + " has more than 2^31 cells.");
-        }
+        requireMemory(countCells(level->tree()));
+        for (auto it = level->tree().cbeginValueOn(); it; ++it)
+            if (*it >= 0) addCells(builder, it.getBoundingBox(), *it);
         mVolume.emplace(builder.build());
     } catch (const Error& e) {
         if (e.code() == ErrorCode::Input) throw;
@@ -132,6 +145,34 @@ void VolumeLoader::makeVolume(const openvdb::GridBase& grid)
                 + (mFile.cutCells > 0 ? cutGridNames().size() : 0));
     }
     if (mProgress) mProgress->advance(1);
+}
+
+std::uint64_t VolumeLoader::countCells(const Int32Tree& level) const
+{
+    std::uint64_t cells = 0;
+    for (auto it = level.cbeginValueOn(); it; ++it) {
+        const int k = *it;
+        if (k < -1 || k > kMaxLevel) {
+            fail(where(kLevelGrid) + " holds the level " + std::to_string(k) + " at lattice point "
+                + pointText(fromVdb(it.getCoord())) + "; −1 to 12 are possible.");
+        }
+        if (k >= 0) cells += cellsIn(it.getBoundingBox(), k).count;
+        if (cells > kMaxCells) fail(where(kLevelGrid) + " has more than 2^31 cells.");
+    }
+    return cells;
+}
+
+/// A few bytes of tiles can stand for any number of cells. Their origins are so many samples.
+void VolumeLoader::requireMemory(std::uint64_t cells) const
+{
+    const int colors = mFile.bands * mFile.bands * (mFile.gradients ? 4 : 1);
+    const std::uint64_t sampleBytes
+        = static_cast<std::uint64_t>(colors) * sizeof(Color) + 2 * sizeof(float) + sizeof(Coord);
+    const std::uint64_t bytes = cells * (sizeof(Cell) + sampleBytes);
+    if (bytes > physicalMemory()) {
+        fail(where(kLevelGrid) + " has " + std::to_string(cells) + " cells, which take "
+            + std::to_string(bytes >> 30) + " GiB or more: this machine has less.");
+    }
 }
 
 void VolumeLoader::checkLevels(const Int32Tree& level) const

@@ -33,6 +33,8 @@ private:
     [[noreturn]] void fail(const std::string& sentence) const;
     std::string where(const std::string& name) const;
     void makeVolume(const openvdb::GridBase& grid);
+    std::uint64_t countCells(const openvdb::Int32Tree& level) const;
+    void requireMemory(std::uint64_t cells) const;
     void checkLevels(const openvdb::Int32Tree& level) const;
     void takePending();
     void take(const openvdb::GridBase::ConstPtr& pointer);
