@@ -290,6 +290,92 @@ TEST_CASE("two grids of one name and shared trees are refused")
     CHECK_THAT(refusal(path), Catch::Contains("shares the tree"));
 }
 
+namespace {
+
+/// A grid whose leaves mix active values with those of @a inactive: none but the background, its
+/// negative, one other, two or more each have their own form in the file.
+template <typename GridType>
+typename GridType::Ptr foreignGrid(
+    const char* name, const std::vector<float>& inactive, typename GridType::ValueType background)
+{
+    using Value = typename GridType::ValueType;
+    auto grid = GridType::create(background);
+    grid->setName(name);
+    auto& tree = grid->tree();
+    int n = 0;
+    for (const openvdb::Coord& p : openvdb::CoordBBox({0, 0, 0}, {47, 7, 7})) { // whole leaves
+        if (++n % 5 == 0)
+            tree.setValueOn(p, Value(0.5f));
+        else
+            tree.setValueOff(p, Value(inactive[static_cast<std::size_t>(n) % inactive.size()]));
+    }
+    tree.fill(openvdb::CoordBBox({0, 0, 128}, {127, 127, 255}), Value(2.0f)); // 4,096 tiles of 8³
+    tree.fill(openvdb::CoordBBox({4096, 0, 0}, {8191, 4095, 4095}), Value(3.0f)); // the root's tile
+    return grid;
+}
+
+Grids foreignGrids()
+{
+    const openvdb::Vec3s up(0, 0, 1);
+    Grids grids;
+    grids["f0"] = foreignGrid<openvdb::FloatGrid>("f0", {1}, 1);
+    grids["f1"] = foreignGrid<openvdb::FloatGrid>("f1", {-1}, 1);
+    grids["f2"] = foreignGrid<openvdb::FloatGrid>("f2", {1, -1}, 1);
+    grids["f3"] = foreignGrid<openvdb::FloatGrid>("f3", {2, 3}, 1);
+    grids["v0"] = foreignGrid<openvdb::Vec3SGrid>("v0", {7}, up);
+    grids["v1"] = foreignGrid<openvdb::Vec3SGrid>("v1", {7, 8}, up);
+    grids["v2"] = foreignGrid<openvdb::Vec3SGrid>("v2", {7, 8, 9}, up);
+    grids["i0"] = foreignGrid<openvdb::Int32Grid>("i0", {0, 5}, 0);
+    grids["empty"] = openvdb::FloatGrid::create();
+    grids["empty"]->setName("empty");
+    return grids;
+}
+
+/// Statistics of all grids in the file agree with the grids.
+void checkStatistics(const std::string& path, const Grids& grids)
+{
+    std::size_t found = 0;
+    for (const ChannelStatistics& channel : computeStatistics(path).channels) {
+        const auto grid = grids.find(channel.name);
+        if (grid == grids.end()) continue;
+        CHECK(channel.activeVoxels == grid->second->activeVoxelCount());
+        ++found;
+    }
+    CHECK(found == grids.size());
+}
+
+} // namespace
+
+TEST_CASE("foreign grids are read whatever form their values have")
+{
+    const TempFolder folder;
+    const std::string ours = folder.file("ours.vdb"), theirs = folder.file("theirs.vdb");
+    saveVolume(uniformVolume({0, 0, 0}, {2, 2, 2}, 1, false), ours);
+    Grids grids = readGrids(ours);
+    const Grids foreign = foreignGrids();
+    grids.insert(foreign.begin(), foreign.end());
+    openvdb::GridCPtrVec list;
+    for (const auto& [name, grid] : grids) list.push_back(grid);
+    for (const std::uint32_t codec : {0, 1, 4}) { // none, zip, Blosc
+        for (const std::uint32_t mask : {0u, std::uint32_t{openvdb::io::COMPRESS_ACTIVE_MASK}}) {
+            for (const bool asHalf : {false, true}) {
+                INFO(codec << " " << mask << " " << asHalf);
+                for (const auto& [name, grid] : foreign) grid->setSaveFloatAsHalf(asHalf);
+                openvdb::io::File file(theirs);
+                file.setCompression(codec | mask);
+                file.write(list);
+                checkStatistics(theirs, foreign);
+                std::ofstream out(theirs, std::ios::binary);
+                openvdb::io::Stream stream(out);
+                stream.setCompression(codec | mask);
+                stream.write(list);
+                out.close();
+                checkStatistics(theirs, foreign);
+            }
+        }
+    }
+}
+
 TEST_CASE("files that another program rewrote are read")
 {
     const TempFolder folder;
