@@ -502,6 +502,11 @@ def last_value(bits):
     return lambda data: vb.edited(data, "sh_0", lambda grid: grid[:-12] + struct.pack("<3f", *bits))
 
 
+def said_to_be_packed(grid):
+    """The grid, which has no codec, with Blosc's flag: its values are taken for sizes."""
+    return struct.pack("<I", 6) + grid[4:]
+
+
 STATS = "stats bad.vdb"
 VOLUME_FILES = [
     Case("volume missing", "stats absent.vdb", 3, ("absent.vdb", "does not exist")),
@@ -545,6 +550,9 @@ VOLUME_FILES = [
          {"bad.vdb": volume(last_value((NAN, 1, 1)))}),
     Case("infinity in a channel", "query bad.vdb --points -", 3, ("bad.vdb", "'sh_0'", "infinite"),
          {"bad.vdb": volume(last_value((1, 1, -INF)))}),
+    Case("values where sizes should be", STATS, 3,
+         ("bad.vdb", "'sh_0'", "values have the size"),
+         {"bad.vdb": volume(lambda d: vb.edited(d, "sh_0", said_to_be_packed))}),
     Case("another map in one channel", STATS, 3, ("bad.vdb", "'sh_0'", "transforms"),
          {"bad.vdb": volume(lambda d: vb.edited(d, "sh_0", lambda g: g.replace(
              struct.pack("<d", 0.25), struct.pack("<d", 0.5))))}),

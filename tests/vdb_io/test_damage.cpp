@@ -275,6 +275,7 @@ void checkRefused(const TempFolder& folder, const std::vector<char>& bytes, cons
 TEST_CASE("blocks of values with sizes that are not due are refused before they are read")
 {
     const TempFolder folder;
+    const IgnoreLeaks ignore;
     for (const std::size_t kind : {0, 1, 2, 3, 4}) { // those with blocks
         INFO(kForeign[kind].name);
         const std::vector<char> whole = foreignBytes(folder, kForeign[kind]);
