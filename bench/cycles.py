@@ -16,17 +16,18 @@ E_ref is LumiVDB's path tracer with many rays, two seeds; its noise is taken off
 converges to the same is tested first, at a few probes, with independent seeds on both sides.
 
 Seconds to 1%: sample counts grow by 4 until rel_rmse is below 1% or the budget is spent. Of all
-probes together (rel_rmse), and of each probe from its own curve, of which the median and the mean are
-given: between two counts log-log, beyond the last with the slope -1/2 of independent samples (marked
-~ where all together end so, and told as a share of the probes; true is more where an error that does
-not shrink is left, as that of coarse pixels or of a cache), from the first count's on where that
-already suffices. The size of the panorama is the one that reaches 1% soonest at the trial probes.
+probes together (rel_rmse), and of each probe from its own curve, of which the median and the mean
+are given. Between two counts log-log, from the first count's on where that already suffices, beyond
+the last with the slope -1/2 of independent samples: a guess, marked ~ for all together and told as
+a share of the probes; true is more where an error that does not shrink is left, as that of coarse
+pixels or of a cache. The size of the panorama is the one that reaches 1% soonest at trial probes.
 
 Seconds are wall clock of tracing alone: for Cycles of all renders, less as many of 8 x 4 pixels and
-one sample; for LumiVDB from the beginning of its stage "trace points" to the end of the program, less
-that of one point of two rays. So loading, hierarchies and process start do not count. Where Cycles
-takes long it renders fewer probes (--compared); errors of all tracers are those of these. Solving a
-cache has a column of its own, and its share for the given number of probes is part of theirs.
+one sample; for LumiVDB from the beginning of its stage "trace points" to the end of the program,
+less that of one point of two rays. So loading, hierarchies and process start do not count. Where
+Cycles takes long it renders fewer probes (--compared); errors of all tracers are those of these.
+Solving a cache has a column of its own, and its share for the given number of probes is part of
+the times to 1%.
 
 How the model is mapped to Cycles:
   surfaces     Diffuse BSDF of roughness 0, colour = what the importer links to Base Color (for OBJ

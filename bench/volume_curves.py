@@ -120,8 +120,10 @@ def to_error(rows, target, bias):
 
 
 def biases(result):
-    measured = result["bias"]["rms"] if result["bias"] else 0
-    return {"path": 0, "cached": measured}
+    """0 where it does not reach half of the noise it was measured with."""
+    bias = result["bias"]
+    noise = bias and math.hypot(bias["noise"], result["reference"]["noise"])
+    return {"path": 0, "cached": bias["rms"] if bias and bias["rms"] > noise / 2 else 0}
 
 
 def times(result, target, samples=None):
@@ -181,21 +183,25 @@ def print_tables(results):
 
 def panel(name, result, first):
     """gnuplot's commands for one scene."""
+    series = {name: [(fixed(result, r) + growing(r), r["rel_rmse"]) for r in result[name]]
+              for name in NAMES}
+    series["cached, already solved"] = [(result["build"] + growing(r), r["rel_rmse"])
+                                        for r in result["cached"]]
+    styles = ["pt 5 lc rgb '#1f77b4'", "pt 7 lc rgb '#ff7f0e'", "dt 3 pt 6 lc rgb '#ff7f0e'"]
     data, plots = "", []
-    styles = {"path": "pt 5 lc rgb '#1f77b4'", "cached": "pt 7 lc rgb '#ff7f0e'"}
-    bias = biases(result)["cached"]
-    for integrator in NAMES:
-        points = [(fixed(result, r) + growing(r), r["rel_rmse"]) for r in result[integrator]]
-        block = f"${integrator}"
-        data += f"{block} << END\n" + "".join(
+    for number, (title, points) in enumerate(series.items()):
+        data += f"$data{number} << END\n" + "".join(
             f"{x:g} {100 * max(y, 1e-6):g}\n" for x, y in points) + "END\n"
-        plots.append(f"{block} using 1:2 with linespoints ps 0.7 {styles[integrator]} "
-                     f"title '{integrator}'")
+        plots.append(f"$data{number} using 1:2 with linespoints ps 0.7 {styles[number]} "
+                     f"title '{title}'")
+    bias = biases(result)["cached"]
+    seconds = [x for points in series.values() for x, _ in points]
     if bias > 0:
         plots.append(f"{100 * bias:g} with lines dt 2 lc rgb '#ff7f0e' title 'bias of the cache'")
     title = f"{name}: {result['samples']:,} samples".replace("'", "''")
     key = "set key bottom left samplen 1" if first else "unset key"
-    return (f"{data}set title '{title}'\nset xlabel 'processor seconds of a bake'\n{key}\n"
+    span = f"[{min(seconds) / 1.3:g}:{max(seconds) * 1.3:g}]"
+    return (f"{data}set title '{title}'\nset xrange {span}\nset xlabel 'processor seconds of a bake'\n{key}\n"
             "plot " + ", ".join(plots) + "\n")
 
 
