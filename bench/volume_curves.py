@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time to 5, 2 and 1% of whole uniform volumes, by both integrators; tables and a picture.
 
-    bench/volume_curves.py BENCH_VOLUMES ASSETS OUT [SCENE ...] [--seeds N] [--scale X]
+    bench/volume_curves.py BENCH_VOLUMES ASSETS OUT [SCENE ...] [--seeds N] [--scale X] [--finer N]
     bench/volume_curves.py --plot PICTURE.png OUT [SCENE ...]
 
 BENCH_VOLUMES is the program lumivdb_bench_volumes, which defines errors; its JSON is left in
@@ -71,6 +71,9 @@ def measure(args, name, setup):
         parts = [o.split("=", 1) for o in options]
         options = [f"{k}={max(64, int(int(v) * args.scale)) if k in shorter else v}"
                    for k, v in parts] + [f"bias={max(64, int(8192 * args.scale))}"]
+    if args.finer > 1:
+        options = [f"spacing={float(o[8:]) / args.finer:g}" if o.startswith("spacing=") else o
+                   for o in options]
     command = [args.program, scene, *options, f"seeds={args.seeds}"]
     print(f"  {' '.join(map(str, command))}", file=sys.stderr, flush=True)
     done = subprocess.run(list(map(str, command)), stdout=subprocess.PIPE, text=True, check=False)
@@ -201,8 +204,8 @@ def panel(name, result, first):
     title = f"{name}: {result['samples']:,} samples".replace("'", "''")
     key = "set key bottom left samplen 1" if first else "unset key"
     span = f"[{min(seconds) / 1.3:g}:{max(seconds) * 1.3:g}]"
-    return (f"{data}set title '{title}'\nset xrange {span}\nset xlabel 'processor seconds of a bake'\n{key}\n"
-            "plot " + ", ".join(plots) + "\n")
+    return (f"{data}set title '{title}'\nset xrange {span}\n"
+            f"set xlabel 'processor seconds of a bake'\n{key}\nplot {', '.join(plots)}\n")
 
 
 def draw(picture, results):
@@ -223,6 +226,7 @@ def main():
     parser.add_argument("--plot", type=pathlib.Path, help="draw what is in OUT, measure nothing")
     parser.add_argument("--seeds", type=int, default=3, help="bakes of each number of rays")
     parser.add_argument("--scale", type=float, default=1, help="of all numbers of rays, to try")
+    parser.add_argument("--finer", type=int, default=1, help="divides the spacing")
     parser.add_argument("words", nargs="+", metavar="BENCH_VOLUMES ASSETS OUT [SCENE ...]")
     args = parser.parse_args()
     words = args.words
