@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Irradiance probes by LumiVDB and by Blender's Cycles: same scene, same points, same machine.
 
-    bench/cycles.py PROGRAM ASSETS OUT [SCENE ...] [--probes N] [--integrator path|cached] ...
+    bench/cycles.py PROGRAM ASSETS OUT [SCENE ...] [--probes N] [--integrator path|cached ...] ...
 
 Needs `blender` (tried with 3.4.1 of Debian 12) in the PATH. Prints two Markdown tables; each
 scene's results are left in OUT/SCENE.cycles.json.
@@ -15,13 +15,19 @@ with the integrals of the basis over each pixel. One process renders all points 
 E_ref is LumiVDB's path tracer with many rays, two seeds; its noise is taken off. That Cycles
 converges to the same is tested first, at a few probes, with independent seeds on both sides.
 
-Seconds to 1%: sample counts grow by 4 until rel_rmse is below 1% or the budget is spent; between
-two counts log-log, beyond the last with the slope -1/2 of independent samples (marked ~; true is
-more where an error that does not shrink is left, as that of coarse pixels or of a cache). The size
-of the panorama is the one that reaches 1% soonest at the trial probes. Seconds are wall clock, less
-what an empty job takes: for Cycles an 8 x 4 render of one sample, for LumiVDB a run with one point
-and two rays by `path`. So loading, hierarchies and process start do not count; solving a cache
-does.
+Seconds to 1%: sample counts grow by 4 until rel_rmse is below 1% or the budget is spent. Of all
+probes together (rel_rmse), and of each probe from its own curve, of which the median and the mean
+are given. Between two counts log-log, from the first count's on where that already suffices, beyond
+the last with the slope -1/2 of independent samples: a guess, marked ~ for all together and told as
+a share of the probes; true is more where an error that does not shrink is left, as that of coarse
+pixels or of a cache. The size of the panorama is the one that reaches 1% soonest at trial probes.
+
+Seconds are wall clock of tracing alone: for Cycles of all renders, less as many of 8 x 4 pixels and
+one sample; for LumiVDB from the beginning of its stage "trace points" to the end of the program,
+less that of one point of two rays. So loading, hierarchies and process start do not count. Where
+Cycles takes long it renders fewer probes (--compared); errors of all tracers are those of these.
+Solving a cache has a column of its own, and its share for the given number of probes is part of
+the times to 1%.
 
 How the model is mapped to Cycles:
   surfaces     Diffuse BSDF of roughness 0, colour = what the importer links to Base Color (for OBJ
@@ -40,7 +46,6 @@ How the model is mapped to Cycles:
 
 import argparse
 import csv
-import io
 import json
 import math
 import os
@@ -50,6 +55,7 @@ import shutil
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 
 from cycles_blender import REPLY, sh_basis
@@ -114,29 +120,42 @@ class Cycles:
 class Lumivdb:
     def __init__(self, args, scene, env, fronts, unseen=None):
         self.unseen = unseen
-        self.command = [args.program, "probe", scene, "--bands", BANDS, "--quiet",
-                        "--threads", args.threads, "--points", "-"]
+        self.command = [args.program, "probe", scene, "--bands", BANDS, "--threads", args.threads,
+                        "--points", "-"]
         self.command += ["--env", env] if env else []
         self.command += ["--emission-sides", "front"] if fronts else []
-        self.integrator, self.floor = "path", 0
+        self.integrator, self.floor, self.solving = "path", 0, 0
         self.floor = min(self.trace([(0, 1, 0)], 2, 0)[1] for _ in range(5))
 
     def run(self, points, rays, seed, more=()):
+        """Rows of the CSV, seconds of tracing and of solving a cache."""
         command = [*self.command, "--rays", rays, "--seed", seed, *more]
         command += [] if more else ["--integrator", self.integrator]
-        start = time.perf_counter()
-        done = subprocess.run(list(map(str, command)), capture_output=True, text=True,
-                              input="".join(f"{x!r},{y!r},{z!r}\n" for x, y, z in points))
-        seconds = time.perf_counter() - start
-        if done.returncode:
-            sys.exit(done.stderr)
-        return list(csv.DictReader(io.StringIO(done.stdout))), seconds - self.floor
+        begun = {}  # a stage of the program: when it first said so
+        with tempfile.TemporaryFile("w+") as asked, tempfile.TemporaryFile("w+") as found:
+            asked.writelines(f"{x!r},{y!r},{z!r}\n" for x, y, z in points)
+            asked.seek(0)
+            with subprocess.Popen(list(map(str, command)), stdin=asked, stdout=found,
+                                  stderr=subprocess.PIPE, text=True) as process:
+                said = []
+                for line in process.stderr:
+                    said.append(line)
+                    begun.setdefault(line.split(":")[0], time.perf_counter())
+            end = time.perf_counter()
+            if process.returncode:
+                sys.exit("".join(said))
+            found.seek(0)
+            rows = list(csv.DictReader(found))
+        traced = begun["trace points"]
+        return rows, end - traced - self.floor, traced - begun.get("light of the surfaces", traced)
 
     def trace(self, points, rays, seed):
-        rows, seconds = self.run(points, rays, seed)
+        rows, seconds, solving = self.run(points, rays, seed)
         for _ in range(2):  # what is short is told less well from the floor
             if self.floor and seconds < 2:
-                seconds = min(seconds, self.run(points, rays, seed)[1])
+                _, again, solved = self.run(points, rays, seed)
+                seconds, solving = min(seconds, again), min(solving, solved)
+        self.solving = solving
         found = self.sh(rows)
         if self.unseen:  # a point has no noise in it, two rays are enough
             only = ["--light-group", self.unseen, "--contribution", "direct"]
@@ -186,7 +205,7 @@ def mean_square(a, b):
 
 
 def errors(e, reference, noise):
-    """rel_rmse, and the median over probes of each one's own. noise: a second reference; a quarter
+    """rel_rmse, and each probe's own. noise: a second reference; a quarter
     of their squared difference is the variance of their mean."""
     def relative(first, last, channel):
         a, b, other = (flat(x[first:last], channel) for x in (e, reference, noise))
@@ -195,31 +214,47 @@ def errors(e, reference, noise):
         level = statistics.fmean(mean)  # 0 where no light comes
         return math.sqrt(max(0, square)) / level if level > 0 else 0.0
 
-    own = (max(relative(i, i + 1, c) for c in range(3)) for i in range(len(e)))
-    return max(relative(0, len(e), c) for c in range(3)), statistics.median(own)
+    own = [max(relative(i, i + 1, c) for c in range(3)) for i in range(len(e))]
+    return max(relative(0, len(e), c) for c in range(3)), own
 
 
-def seconds_to_target(rows, key):
-    """Seconds a probe at TARGET, and whether it was extrapolated."""
-    rows = [r for r in rows if r[key] > 0]
-    for a, b in zip(rows, rows[1:]):
-        if a[key] > TARGET >= b[key]:
-            t = math.log(a[key] / TARGET) / math.log(a[key] / b[key])
-            return a["seconds"] * (b["seconds"] / a["seconds"]) ** t, ""
-    near = rows[0] if rows[0][key] <= TARGET else rows[-1]
-    return near["seconds"] * (near[key] / TARGET) ** 2, "~"
+def seconds_to_target(curve):
+    """Of (seconds, error) by seconds: seconds at TARGET, and "~" where they are extrapolated."""
+    curve = [c for c in curve if c[1] > 0] or [(curve[0][0], TARGET)]
+    for (before, a), (after, b) in zip(curve, curve[1:]):
+        if a > TARGET >= b:
+            return before * (after / before) ** (math.log(a / TARGET) / math.log(a / b)), ""
+    if curve[0][1] <= TARGET:
+        return curve[0][0], ""
+    return curve[-1][0] * (curve[-1][1] / TARGET) ** 2, "~"
+
+
+def of_all(rows):
+    """Seconds a probe at TARGET for all of them together, and its mark."""
+    return seconds_to_target([(r["seconds"], r["rel_rmse"]) for r in rows])
+
+
+def of_each(rows):
+    """Median and mean over probes of the seconds at TARGET, share of extrapolated ones."""
+    found = [seconds_to_target([(r["seconds"], own) for r, own in zip(rows, probe)])
+             for probe in zip(*(r["own"] for r in rows))]
+    seconds = [f[0] for f in found]
+    return {"median": statistics.median(seconds), "mean": statistics.fmean(seconds),
+            "extrapolated": statistics.fmean(f[1] == "~" for f in found)}
 
 
 def series(contender, points, reference, first, budget):
-    """A row for each sample count, until the target is reached or the budget would be."""
+    """A row for each sample count, until the target is reached or the budget would be. Errors are
+    of as many points as the reference has, seconds of all."""
     rows, samples = [], first
     while not rows or (rows[-1]["rel_rmse"] > TARGET
                        and 4 * rows[-1]["seconds"] * len(points) < budget):
         sh, seconds = contender.trace(points, samples, 77 + len(rows))
-        rel_rmse, own = errors(irradiance(sh), *reference)
+        rel_rmse, own = errors(irradiance(sh[:len(reference[0])]), *reference)
         rows.append({"samples": samples, "rays": contender.rays(samples), "rel_rmse": rel_rmse,
                      "own": own, "seconds": max(seconds, 1e-6) / len(points)})
-        print(f"  {type(contender).__name__} {rows[-1]}", file=sys.stderr)
+        told = rows[-1] | {"own": statistics.median(own)}
+        print(f"  {type(contender).__name__} {told}", file=sys.stderr, flush=True)
         samples *= 4
     return rows
 
@@ -264,7 +299,7 @@ def choose_points(lumivdb, bounds, count):
     while len(points) < count:
         tried = [tuple(round(rng.uniform(bounds[a], bounds[a + 3]), 4) for a in range(3))
                  for _ in range(count)]
-        rows, _ = lumivdb.run(tried, 64, 1)
+        rows = lumivdb.run(tried, 64, 1)[0]
         points += [p for p, row in zip(tried, rows) if float(row["validity"]) >= 0.5]
     return points[:count]
 
@@ -274,7 +309,7 @@ def choose_width(cycles, points, reference, args):
     for width in (32, 64, 128):
         cycles.width = width
         rows = series(cycles, points, reference, max(1, 4096 // width ** 2), args.budget / 4)
-        found[width] = seconds_to_target(rows, "rel_rmse")[0]
+        found[width] = of_all(rows)[0]
     print(f"  width: seconds to 1% {found}", file=sys.stderr)
     return min(found, key=found.get)
 
@@ -295,20 +330,23 @@ def measure(name, setup, args):
     print(f"  {name}: {result['agreement']}", file=sys.stderr)
     cycles.width = args.width or choose_width(
         cycles, trial, references(lumivdb, trial, args.budget / 4), args)
-    reference = references(lumivdb, points, args.reference)
+    compared = points[:args.compared or len(points)]
+    reference = references(lumivdb, compared, args.reference)
+    result["compared"] = len(compared)
     result["reference_stderr"] = max(
         math.sqrt(mean_square(*(flat(e, c) for e in reference))) / 2
         / statistics.fmean(flat(reference[0], c)) for c in range(3))
     result["width"] = cycles.width
-    result["cycles"] = series(cycles, points, reference, 1, args.budget)
+    result["cycles"] = series(cycles, compared, reference, args.first, args.budget)
     cycles.close()
     for integrator in args.integrator:
         lumivdb.integrator = integrator
         result[integrator] = series(lumivdb, points, reference, 64, args.budget)
+        result[f"{integrator}_solving"] = lumivdb.solving
     for tracer in ["cycles", *args.integrator]:
-        result[tracer] = {"counts": result[tracer]} | {
-            f"seconds_to_1%_{key}": seconds_to_target(result[tracer], key)
-            for key in ("rel_rmse", "own")}
+        rows = result[tracer]
+        result[tracer] = {"solving": result.pop(f"{tracer}_solving", 0), "all": of_all(rows),
+                          "each": of_each(rows), "counts": rows}
     (args.out / f"{name}.cycles.json").write_text(json.dumps(result, indent=1))
     return result
 
@@ -324,21 +362,23 @@ def print_tables(results, args):
             print(f"| {result['scene']} | {channel} | {row['difference']:.3%} | "
                   f"{row['expected']:.3%} | {row['in_errors']:.2f} | {row['bias']:+.3%} | "
                   f"{row['bias_stderr']:.3%} |")
-    print("\n| scene | probes | reference's error | tracer | rays a probe at the end | "
-          "rel_rmse there | s a probe to 1% | Cycles / it | "
-          "s of a median probe to its own 1% | Cycles / it |\n"
-          "|---|---|---|---|---|---|---|---|---|---|")
+    print("\n| scene | probes, compared | reference's error | tracer | rays a probe at the end | "
+          "rel_rmse there | solving, s | s a probe to 1%, all together | Cycles / it | "
+          "each to its own 1%: median | Cycles / it | mean | Cycles / it | extrapolated |\n"
+          + "|---" * 14 + "|")
     for result in results:
-        cells = {}
         for tracer in ["cycles", *args.integrator]:
-            cells[tracer] = [result[tracer][f"seconds_to_1%_{key}"] for key in ("rel_rmse", "own")]
-        for tracer, times in cells.items():
-            last = result[tracer]["counts"][-1]
-            row = [result["scene"], result["probes"], f"{result['reference_stderr']:.2%}", tracer,
-                   f"{last['rays']:,}", f"{last['rel_rmse']:.2%}"]
-            for (seconds, mark), (slow, _) in zip(times, cells["cycles"]):
-                row += [f"{mark}{seconds:.3g}", f"{slow / seconds:.1f}"]
-            print("|", " | ".join(map(str, row)), "|")
+            last, found = result[tracer]["counts"][-1], result[tracer]
+            share = found["solving"] / result["probes"]
+            row = [result["scene"], f"{result['probes']}, {result['compared']}",
+                   f"{result['reference_stderr']:.2%}", tracer,
+                   f"{last['rays']:,}", f"{last['rel_rmse']:.2%}", f"{found['solving']:.2f}"]
+            slow, (together, mark) = result["cycles"], found["all"]
+            row += [f"{mark}{together + share:.3g}", f"{slow['all'][0] / (together + share):.1f}"]
+            for key in ("median", "mean"):
+                seconds = found["each"][key] + share
+                row += [f"{seconds:.3g}", f"{slow['each'][key] / seconds:.1f}"]
+            print("|", " | ".join(map(str, row)), f"| {found['each']['extrapolated']:.0%} |")
 
 
 def main():
@@ -350,6 +390,9 @@ def main():
     parser.add_argument("scene", nargs="*")
     parser.add_argument("--integrator", action="append", choices=["path", "cached"])
     parser.add_argument("--probes", type=int, default=512)
+    parser.add_argument("--compared", type=int,
+                        help="so many of them are rendered by Cycles and have a reference; all")
+    parser.add_argument("--first", type=int, default=1, help="samples Cycles begins with")
     parser.add_argument("--trial", type=int, default=16, help="probes of agreement and width")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--width", type=int, help="of the panoramas; without, the best is found")
@@ -360,7 +403,7 @@ def main():
     parser.add_argument("--reference", type=float, default=120, help="seconds, reference")
     parser.add_argument("--budget", type=float, default=120, help="most seconds of a sample count")
     args = parser.parse_args()
-    args.integrator = args.integrator or ["path"]
+    args.integrator = args.integrator or ["path", "cached"]
     args.out.mkdir(parents=True, exist_ok=True)
     known = scenes(args.assets.resolve())
     print_tables([measure(name, known[name], args) for name in args.scene or known], args)

@@ -60,6 +60,20 @@ public:
         all.push_back(c);
     }
 
+    /// The same volumes as those of paths without gradients and with the analytic ones, of three
+    /// bands, each with the interpolation that suits it best.
+    void cached()
+    {
+        const std::vector<BenchConfiguration> paths = all;
+        for (BenchConfiguration c : paths) {
+            if (c.bands != 3 || c.gradients == GradientMethod::Central) continue;
+            const bool plain = c.gradients == GradientMethod::None;
+            c.method = BenchMethod::Cached;
+            c.modes = {plain ? Interpolation::Trilinear : Interpolation::Gradient};
+            all.push_back(c);
+        }
+    }
+
     void propagated(double spacings, BenchMethod method)
     {
         BenchConfiguration c;
@@ -149,6 +163,21 @@ const char* name(GradientMethod gradients)
     return "none";
 }
 
+const char* integrator(const BenchConfiguration& c)
+{
+    switch (c.method) {
+    case BenchMethod::Path:
+        return "path";
+    case BenchMethod::Cached:
+        return "cached";
+    case BenchMethod::Lpv:
+    case BenchMethod::LpvMany:
+    case BenchMethod::LpvOpen:
+        break;
+    }
+    return "lpv";
+}
+
 const char* representation(const BenchConfiguration& c)
 {
     switch (c.method) {
@@ -159,6 +188,7 @@ const char* representation(const BenchConfiguration& c)
     case BenchMethod::LpvOpen:
         return "lpv-open";
     case BenchMethod::Path:
+    case BenchMethod::Cached:
         break;
     }
     return c.levels == 0 ? "uniform" : "adaptive";
@@ -172,7 +202,10 @@ std::vector<BenchConfiguration> benchConfigurations(
         buildQuick(builder);
     else
         buildFull(builder);
-    if (contribution != Contribution::Direct) buildPropagated(builder, quick);
+    if (contribution != Contribution::Direct) { // neither is of use for it
+        builder.cached();
+        buildPropagated(builder, quick);
+    }
     return std::move(builder.all);
 }
 

@@ -15,6 +15,7 @@ namespace lumivdb::cli {
 /// How a volume is made.
 enum class BenchMethod {
     Path, ///< paths traced from every sample
+    Cached, ///< one ray a direction, what it meets looked up in the radiance cache
     Lpv, ///< light propagation: geometry in the way, one reflection
     LpvMany, ///< and many
     LpvOpen ///< one reflection, nothing in the way
@@ -33,6 +34,8 @@ struct BenchConfiguration {
 };
 
 const char* name(GradientMethod gradients);
+/// "path", "cached" or "lpv".
+const char* integrator(const BenchConfiguration& c);
 /// "uniform", "adaptive", "lpv", "lpv-many" or "lpv-open".
 const char* representation(const BenchConfiguration& c);
 
@@ -41,12 +44,21 @@ const char* representation(const BenchConfiguration& c);
 std::vector<BenchConfiguration> benchConfigurations(
     const Box3d& bounds, double finest, bool quick, Contribution contribution);
 
+/// Where a bake's seconds went.
+struct BenchStages {
+    double solve = 0; ///< of the radiance cache
+    double trace = 0; ///< and all that is none of the others
+    double refine = 0;
+    double verify = 0; ///< the measured bias of a cache
+};
+
 /// One configuration and one interpolation.
 struct BenchRow {
     std::string scene;
     BenchConfiguration configuration;
     Interpolation mode = Interpolation::Trilinear;
     double bakeSeconds = 0;
+    BenchStages stages; ///< their sum is bakeSeconds
     std::uint64_t rays = 0, samples = 0, bytes = 0; ///< bytes of the sampler
     double queryNs = 0;
     double relRmse = 0, p50 = 0, p95 = 0, p99 = 0, referenceStderr = 0;

@@ -53,7 +53,7 @@ private:
     std::shared_ptr<const Scene> load(const BenchScene& scene);
     void measureScene(const BenchScene& scene, std::vector<BenchRow>& rows);
     BakeOptions bakeOptions(const BenchConfiguration& c) const;
-    /// As the row's configuration says; fills in the rays it took.
+    /// As the row's configuration says; fills in the rays and the stages' seconds it took.
     IrradianceVolume makeVolume(const Tracer& tracer, BenchRow& row, Progress& progress) const;
     void printTable(const std::vector<BenchRow>& rows) const;
     Json report(const std::vector<BenchRow>& rows) const;
@@ -74,11 +74,13 @@ void BenchCommand::declare(Arguments& arguments)
 {
     arguments.describe(
         "Bakes each scene with uniform and adaptive cells, different spacings, bands, gradients "
-        "and thresholds, and by light propagation (lpv; lpv-many: with many reflections; lpv-open: "
+        "and thresholds, by path tracing and with a radiance cache, and by light propagation (lpv; "
+        "lpv-many: with many reflections; lpv-open: "
         "without occlusion), queries the volumes with every interpolation, and compares them with "
         "an "
-        "independent trace at random points. bake_seconds and query_ns are this machine's; bytes "
-        "are "
+        "independent trace at random points. bake_seconds and query_ns are this machine's, the "
+        "former with their shares in percent: solving the cache, tracing, refining, verifying (the "
+        "cache's bias); bytes are "
         "those of what answers queries, in memory; rel_rmse and p99 are those of 'lumivdb "
         "evaluate'. Rows that no other row of "
         "the scene beats are marked: s by bake seconds, b by bytes.");
@@ -188,6 +190,7 @@ BakeOptions BenchCommand::bakeOptions(const BenchConfiguration& c) const
     options.levels = c.levels;
     if (c.threshold > 0) options.refine.error = c.threshold;
     options.threads = mCommon.threads;
+    if (c.method == BenchMethod::Cached) options.integrator = Integrator::Cached;
     return options;
 }
 
@@ -195,9 +198,13 @@ IrradianceVolume BenchCommand::makeVolume(
     const Tracer& tracer, BenchRow& row, Progress& progress) const
 {
     const BenchConfiguration& c = row.configuration;
-    if (c.method == BenchMethod::Path) {
+    if (c.method == BenchMethod::Path || c.method == BenchMethod::Cached) {
         BakeResult baked = bakeVolume(tracer, bakeOptions(c), &progress);
-        row.rays = baked.report.rays;
+        const BakeReport& report = baked.report;
+        row.rays = report.rays;
+        row.stages = {report.cache.seconds, 0, report.secondsRefine, report.secondsVerify};
+        // A scene too fragmented for the cache was baked by paths.
+        if (report.integrator == Integrator::Path) row.configuration.method = BenchMethod::Path;
         return std::move(baked.volume);
     }
     LpvBakeOptions options;
@@ -236,6 +243,8 @@ void BenchCommand::measureScene(const BenchScene& from, std::vector<BenchRow>& r
         const Stopwatch watch;
         const IrradianceVolume volume = makeVolume(tracer, row, inner);
         row.bakeSeconds = watch.seconds();
+        BenchStages& stages = row.stages;
+        stages.trace = row.bakeSeconds - stages.solve - stages.refine - stages.verify;
         row.samples = volume.sampleCount();
         for (const Interpolation mode : c.modes) {
             BenchRow measured = row;
@@ -246,6 +255,16 @@ void BenchCommand::measureScene(const BenchScene& from, std::vector<BenchRow>& r
         bar.advance(static_cast<std::uint64_t>(c.expectedCost));
     }
     bar.advance(static_cast<std::uint64_t>(total)); // what rounding left
+}
+
+/// Shares of a bake's seconds in percent.
+std::string stageShares(const BenchRow& r)
+{
+    std::string text;
+    for (const double s : {r.stages.solve, r.stages.trace, r.stages.refine, r.stages.verify})
+        text += (text.empty() ? "" : "/")
+            + std::to_string(std::lround(r.bakeSeconds > 0 ? 100 * s / r.bakeSeconds : 0));
+    return text;
 }
 
 /// Columns as wide as their widest entry; the first @a left of them start at the left.
@@ -272,21 +291,21 @@ std::string aligned(const std::vector<std::vector<std::string>>& lines, std::siz
 
 void BenchCommand::printTable(const std::vector<BenchRow>& rows) const
 {
-    std::vector<std::vector<std::string>> lines = {
-        {"scene", "cells", "gradients", "interpolation", "levels", "threshold", "spacing", "bands",
-            "bake s", "Mrays", "samples", "kB", "query ns", "rel_rmse", "p50", "p99", "best"}};
+    std::vector<std::vector<std::string>> lines = {{"scene", "cells", "gradients", "interpolation",
+        "integrator", "levels", "threshold", "spacing", "bands", "bake s", "stages %", "Mrays",
+        "samples", "kB", "query ns", "rel_rmse", "p50", "p99", "best"}};
     const auto percent = [](double x) { return rounded(100 * x, 3) + "%"; };
     for (const BenchRow& r : rows) {
         const BenchConfiguration& c = r.configuration;
-        lines.push_back({r.scene, representation(c), name(c.gradients), name(r.mode),
+        lines.push_back({r.scene, representation(c), name(c.gradients), name(r.mode), integrator(c),
             std::to_string(c.levels), c.threshold > 0 ? rounded(c.threshold) : "-",
-            rounded(c.spacing), std::to_string(c.bands), rounded(r.bakeSeconds, 3),
+            rounded(c.spacing), std::to_string(c.bands), rounded(r.bakeSeconds, 3), stageShares(r),
             rounded(static_cast<double>(r.rays) / 1e6, 3), grouped(r.samples),
             grouped(r.bytes / 1000), rounded(r.queryNs, 3), percent(r.relRmse), percent(r.p50),
             percent(r.p99),
             std::string(r.bestForSeconds ? "s" : "-") + (r.bestForBytes ? "b" : "-")});
     }
-    writeStdout(aligned(lines, 4));
+    writeStdout(aligned(lines, 5));
 }
 
 Json BenchCommand::report(const std::vector<BenchRow>& rows) const
@@ -309,8 +328,10 @@ Json BenchCommand::report(const std::vector<BenchRow>& rows) const
         row["bands"] = c.bands;
         row["gradients"] = name(c.gradients);
         row["interpolation"] = name(r.mode);
-        row["integrator"] = c.method == BenchMethod::Path ? "path" : "lpv";
+        row["integrator"] = integrator(c);
         row["bake_seconds"] = r.bakeSeconds;
+        row["seconds"] = {{"solve", r.stages.solve}, {"trace", r.stages.trace},
+            {"refine", r.stages.refine}, {"verify", r.stages.verify}};
         row["rays"] = r.rays;
         row["samples"] = r.samples;
         row["bytes"] = r.bytes;
@@ -348,14 +369,19 @@ std::string plotData(
 struct PlotSeries {
     const char* title;
     const char* representation; ///< what that of its rows begins with
+    const char* integrator;
     bool gradients;
     const char* style;
 };
-constexpr PlotSeries kSeries[] = {{"uniform", "uniform", false, "pt 4 lc rgb '#1f77b4'"},
-    {"uniform, gradients", "uniform", true, "pt 5 lc rgb '#1f77b4'"},
-    {"adaptive", "adaptive", false, "pt 6 lc rgb '#d62728'"},
-    {"adaptive, gradients", "adaptive", true, "pt 7 lc rgb '#d62728'"},
-    {"light propagation", "lpv", false, "pt 8 lc rgb '#2ca02c'"}};
+constexpr PlotSeries kSeries[] = {{"uniform", "uniform", "path", false, "pt 4 lc rgb '#1f77b4'"},
+    {"uniform, gradients", "uniform", "path", true, "pt 5 lc rgb '#1f77b4'"},
+    {"adaptive", "adaptive", "path", false, "pt 6 lc rgb '#d62728'"},
+    {"adaptive, gradients", "adaptive", "path", true, "pt 7 lc rgb '#d62728'"},
+    {"uniform, cached", "uniform", "cached", false, "pt 4 lc rgb '#ff7f0e'"},
+    {"uniform, cached, gradients", "uniform", "cached", true, "pt 5 lc rgb '#ff7f0e'"},
+    {"adaptive, cached", "adaptive", "cached", false, "pt 6 lc rgb '#9467bd'"},
+    {"adaptive, cached, gradients", "adaptive", "cached", true, "pt 7 lc rgb '#9467bd'"},
+    {"light propagation", "lpv", "lpv", false, "pt 8 lc rgb '#2ca02c'"}};
 
 /// A logarithmic axis round @a values, with as many round numbers as fit.
 std::string axisOf(const char* axis, const std::vector<double>& values)
@@ -396,6 +422,7 @@ std::string panel(const std::vector<BenchRow>& rows, const std::string& scene, b
         const auto keep = [&](const BenchRow& r) {
             const std::string kind = representation(r.configuration);
             return kind.rfind(s.representation, 0) == 0
+                && s.integrator == std::string(integrator(r.configuration))
                 && (r.configuration.gradients != GradientMethod::None) == s.gradients;
         };
         add(plotData(rows, scene, keep, cost),

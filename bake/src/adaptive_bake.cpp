@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "bake_plan.h"
 #include "refiner.h"
+#include "seconds.h"
 
 #include <lumivdb/bake/visibility.h>
 #include <lumivdb/core/error.h>
 #include <lumivdb/core/random.h>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 
 namespace lumivdb {
@@ -29,24 +29,6 @@ constexpr std::uint64_t kVerifyStream = 0x3b97f1c5d8e2a604ull;
 constexpr double kInterpolatedNoise = 0.3;
 /// Gradients stay where trilinear interpolation is at least this much more wrong, as RMS.
 constexpr double kGradientsPay = 1.2;
-
-class Seconds {
-public:
-    explicit Seconds(double& sum)
-        : mSum(sum)
-    {
-    }
-    ~Seconds()
-    {
-        mSum += std::chrono::duration<double>(std::chrono::steady_clock::now() - mStart).count();
-    }
-    Seconds(const Seconds&) = delete;
-    Seconds& operator=(const Seconds&) = delete;
-
-private:
-    double& mSum;
-    std::chrono::steady_clock::time_point mStart = std::chrono::steady_clock::now();
-};
 
 class AdaptiveBake {
 public:

@@ -2,12 +2,12 @@
 #include <lumivdb/bake/bake.h>
 
 #include "bake_plan.h"
+#include "seconds.h"
 #include "threads.h"
 
 #include <lumivdb/bake/visibility.h>
 #include <lumivdb/core/error.h>
 
-#include <chrono>
 #include <cmath>
 
 namespace lumivdb {
@@ -86,10 +86,10 @@ IrradianceVolume bakeUniform(const Tracer& tracer, const BakeOptions& options, c
     builder.addUniform(plan.box.lower, plan.box.upper);
     IrradianceVolume volume = builder.build();
     UniformBake bake(tracer, s, volume);
-    const auto start = std::chrono::steady_clock::now();
-    bake.run(progress);
-    report.secondsTrace
-        = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    {
+        Seconds time(report.secondsTrace);
+        bake.run(progress);
+    }
     report.rays += bake.rays;
     report.meanRelativeStderr = bake.meanRelativeStderr;
     report.tracedSamples = volume.sampleCount();
@@ -149,6 +149,7 @@ double lowerBound(const CacheBias& bias)
 void judgeCache(const Tracer& tracer, BakeOptions& options, const Box3d& box, BakeReport& report,
     Progress& progress)
 {
+    Seconds time(report.secondsVerify);
     const double limit = options.target.error / 2;
     CacheBiasOptions bias;
     for (bool open = true; open; bias.cachedRays *= 2, bias.pathRays *= 2) {
@@ -170,6 +171,7 @@ void judgeCache(const Tracer& tracer, BakeOptions& options, const Box3d& box, Ba
 void measureBias(const Tracer& tracer, const BakeOptions& options, const IrradianceVolume& volume,
     BakeReport& report, Progress& progress)
 {
+    Seconds time(report.secondsVerify);
     CacheBiasOptions bias;
     const double directions
         = static_cast<double>(volume.sampleCount()) * std::max(1, report.raysPerSample);

@@ -14,7 +14,7 @@ from harness import PROGRAM, SAMPLES, CliCase, run
 
 FURNACE = SAMPLES / "furnace.glb"
 KEYS = {"scene", "representation", "levels", "spacing", "bands", "gradients", "interpolation",
-        "integrator", "bake_seconds", "rays", "samples", "bytes", "query_ns", "rel_rmse", "p50",
+        "integrator", "bake_seconds", "seconds", "rays", "samples", "bytes", "query_ns", "rel_rmse", "p50",
         "p95", "p99", "reference_stderr", "pareto"}
 SMALL = ("--quick", "--scene", FURNACE, "--spacing", "0.25", "--rays", "64", "--points", "30",
          "--reference-rays", "256")
@@ -52,7 +52,7 @@ class Rows(CliCase):
             self.assertLessEqual(KEYS, set(row))
             self.assertEqual(row["scene"], "furnace")
             propagated = row["representation"].startswith("lpv")
-            self.assertEqual(row["integrator"], "lpv" if propagated else "path")
+            self.assertEqual(row["integrator"] == "lpv", propagated)
             for key in ("bake_seconds", "rays", "samples", "bytes", "query_ns", "spacing"):
                 self.assertGreater(row[key], 0, key)
             self.assertLess(0, row["p50"])
@@ -72,6 +72,28 @@ class Rows(CliCase):
             self.assertEqual(row["levels"] > 0, row["representation"] == "adaptive")
             if row["interpolation"] in ("taylor", "gradient", "tricubic"):
                 self.assertNotEqual(row["gradients"], "none")
+
+    def test_cached_volumes_are_those_of_paths(self):
+        def volumes(integrator):
+            return {(r["representation"], r["spacing"], r["threshold"], r["gradients"],
+                     r["interpolation"]): r for r in self.rows
+                    if r["integrator"] == integrator and r["bands"] == 3}
+        path, cached = volumes("path"), volumes("cached")
+        self.assertGreater(len(cached), 5)
+        self.assertLessEqual(set(cached), set(path))
+        for key, row in cached.items():
+            if row["representation"] == "uniform":
+                self.assertEqual(row["samples"], path[key]["samples"])
+
+    def test_stages_are_the_whole_bake(self):
+        for row in self.rows:
+            seconds, cached = row["seconds"], row["integrator"] == "cached"
+            self.assertEqual(set(seconds), {"solve", "trace", "refine", "verify"})
+            self.assertAlmostEqual(sum(seconds.values()), row["bake_seconds"], places=6)
+            self.assertGreater(seconds["trace"], 0, row)
+            for stage in ("solve", "verify"):
+                self.assertEqual(seconds[stage] > 0, cached, row)
+            self.assertEqual(seconds["refine"] > 0, row["representation"] == "adaptive", row)
 
     def test_errors_are_those_of_noise(self):
         # L = 2 everywhere: whatever the cells are, only noise is left. Over N directions the
@@ -100,7 +122,7 @@ class Rows(CliCase):
         self.assertEqual(len(lines), len(self.rows) + 1)
         self.assertIn("rel_rmse", lines[0])
         for line, row in zip(lines[1:], self.rows):
-            self.assertEqual(line.split()[3], row["interpolation"])
+            self.assertEqual(line.split()[3:5], [row["interpolation"], row["integrator"]])
 
     def test_progress_is_told(self):
         self.assertIn("bench furnace", self.talk)

@@ -78,7 +78,8 @@ struct BakeReport {
     std::uint64_t tracedSamples = 0; ///< tests and what was merged again included
     std::uint64_t journalSamples = 0; ///< those that were not traced but taken from the journal
     double raysPerSecond = 0;
-    double secondsTrace = 0, secondsRefine = 0, secondsVerify = 0;
+    double secondsTrace = 0, secondsRefine = 0;
+    double secondsVerify = 0; ///< of a target, and of the cache's bias
     double spacing = 0; ///< the one used
     int raysPerSample = 0; ///< the number used; a mean where each sample has its own
     double meanRelativeStderr = 0; ///< mean standard error of E over mean E
