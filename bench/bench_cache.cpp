@@ -32,7 +32,7 @@ constexpr int kNormals = 32;
 
 struct Settings {
     std::string scene, environment;
-    bool sun = false, front = false;
+    bool sun = false, front = false, lights = true;
     Contribution contribution = Contribution::All;
     Box3d bounds;
     std::size_t points = 200;
@@ -43,7 +43,8 @@ struct Settings {
 int usage(const char* program)
 {
     std::fprintf(stderr,
-        "usage: %s SCENE [env=FILE] [sun=1] [bounds=x,y,z,x,y,z] [points=200] [threads=1]\n"
+        "usage: %s SCENE [env=FILE] [sun=1] [lights=0: none of the file's] [bounds=x,y,z,x,y,z] "
+        "[points=200] [threads=1]\n"
         "  [reference=8192 rays a point, twice] [most=2048 rays a point] [repeats=3]\n  [seeds=1: "
         "directions, which all points share, to take the mean square error over]\n  [front=1: "
         "lamps shine to their front] [contribution=all|direct|indirect]\n"
@@ -72,6 +73,8 @@ bool parse(int argc, char** argv, Settings& s)
             s.environment = value;
         else if (key == "sun")
             s.sun = std::atoi(value) != 0;
+        else if (key == "lights")
+            s.lights = std::atoi(value) != 0;
         else if (key == "contribution")
             s.contribution = std::strcmp(value, "direct") == 0 ? Contribution::Direct
                 : std::strcmp(value, "indirect") == 0          ? Contribution::Indirect
@@ -256,6 +259,7 @@ int run(int argc, char** argv)
     std::vector<std::string> warnings;
     if (!s.environment.empty()) scene->environment = Environment::load(s.environment, {}, warnings);
     for (Material& m : scene->materials) m.emitsFrontOnly = s.front;
+    if (!s.lights) scene->lights.clear();
     if (s.sun) {
         Light sun;
         sun.type = LightType::Directional;

@@ -28,6 +28,11 @@ struct EmitterSample {
 
 /// Emissive triangles and the environment, which is as likely as all of them. Up to kFewEmitters
 /// triangles are chosen by their power, more of them by a LightTree: by about what they give there.
+///
+/// An environment's sun is an emitter of its own. For a receiver without a normal, whose samples
+/// come in strata, it has a share of the environment's. On surfaces, where they come one by one and
+/// the choice between sun and sky would be most of the noise, it is not among what sample() draws:
+/// one sampleSun() goes with each sample().
 class EmitterTable {
 public:
     struct Triangle {
@@ -44,7 +49,7 @@ public:
     int add(const Triangle& triangle);
     void finish(std::shared_ptr<const Environment> environment);
 
-    bool empty() const { return mCdf.empty(); }
+    bool empty() const { return mCdf.empty() && !(mEnvironmentProbability > 0); }
     std::size_t triangleCount() const { return mTriangles.size(); }
     const std::vector<Triangle>& triangles() const { return mTriangles; }
 
@@ -57,6 +62,7 @@ public:
     EmitterSample sampleStratum(const Receiver& to, double t, const Emission& emission) const;
 
     /// Draws the emitter from t and the point on it from u, v: for independent random numbers.
+    /// Without the sun. @pre the receiver has a normal
     template <class Emission>
     EmitterSample sample(
         const Receiver& to, double t, double u, double v, const Emission& emission) const;
@@ -75,24 +81,29 @@ public:
     }
     EmitterSample sampleEnvironmentTexel(std::int64_t texel, double u, double v) const;
 
+    bool hasSun() const { return mSun.share > 0; }
+    /// A point of the sun; pdf is 0 where all of it is below the horizon. @pre hasSun(), @a to has
+    /// a normal
+    EmitterSample sampleSun(const Receiver& to, double u, double v) const;
+
     /// Density of sample() at @a to for a triangle met at @a distance under |cos| = @a cosine.
     double pdfTriangle(const Receiver& to, int emitter, double distance, double cosine) const;
-    double pdfEnvironment(const Vec3f& direction) const;
-    /// Of drawing the environment.
-    double environmentProbability() const { return mEnvironmentProbability; }
+    /// Density at @a to of all that draws directions of the environment (its part @a sun, or the
+    /// sky), over that of Environment::sample().
+    double environmentDensity(const Receiver& to, bool sun) const;
 
 private:
-    /// An emitter, triangleCount() being the environment, and the chance to draw it.
+    /// An emitter, triangleCount() being the sun and one more the sky (all of an environment that
+    /// has no sun), and the chance to draw it.
     struct Choice {
         std::size_t emitter;
         double probability; ///< 0: none
     };
     Choice choose(const Receiver& to, double& t) const;
-    Choice chooseFromTree(const Receiver& to, double& t) const;
+    Choice chooseTriangle(const Receiver& to, double& t) const;
     template <class Emission>
-    EmitterSample samplePoint(const Choice& choice, const Vec3f& from, double s, double t,
+    EmitterSample samplePoint(const Choice& choice, const Receiver& to, double s, double t,
         const Emission& emission) const;
-    EmitterSample sampleEnvironment(double u, double v) const;
     /// What t ∈ [0, 1) has left where it draws the environment, else negative.
     double environmentRest(double t) const
     {
@@ -100,13 +111,16 @@ private:
             ? std::min((t - mEnvironmentStart) * mPerEnvironmentProbability, 0x1.fffffffffffffp-1)
             : -1.0;
     }
-    EmitterSample environmentSample(const Environment::Sample& e) const;
+    EmitterSample environmentSample(const Environment::Sample& e, double density) const;
 
     std::vector<Triangle> mTriangles;
     std::shared_ptr<const Environment> mEnvironment;
     double mEnvironmentProbability = 0, mPerEnvironmentProbability = 0;
     double mEnvironmentStart = 0; // of the t that draw it
-    std::vector<double> mCdf; // triangles in order, then the environment; ends at 1
+    Environment::Sun mSun;
+    double mSunHorizon = 0; // sine of its radius
+    double mSunStrata = 0; // share of the environment's where there is no normal
+    std::vector<double> mCdf; // triangles in order; ends where the environment starts
     LightTree mTree; // of the triangles, where they are many
 };
 

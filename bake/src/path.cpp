@@ -84,12 +84,12 @@ Color probeValue(const EmitterSample& s)
 }
 float uniformWeight(double pdf) { return static_cast<float>(kUniformPdf / (kUniformPdf + pdf)); }
 
-/// What a ray that leaves the scene brings, and the density of drawing that way.
-Environment::Arrival background(const Tracer::Impl& impl, const Vec3f& d)
+/// What a ray from @a to that leaves the scene brings, and the density of drawing that way.
+Environment::Arrival background(const Tracer::Impl& impl, const Receiver& to, const Vec3f& d)
 {
     if (!impl.scene->environment) return {Color(0.0f), 0};
     Environment::Arrival light = impl.scene->environment->arrival(Vec3d(d));
-    light.pdf *= impl.emitters.environmentProbability();
+    light.pdf *= impl.emitters.environmentDensity(to, light.sun);
     return light;
 }
 
@@ -105,7 +105,7 @@ ProbeStratum makeStratum(
         stratum.infinite = s.direction;
         stratum.value = probeValue(s);
     }
-    const Environment::Arrival light = background(impl, direction);
+    const Environment::Arrival light = background(impl, {}, direction);
     stratum.background = light.radiance * uniformWeight(light.pdf);
     return stratum;
 }
@@ -321,23 +321,43 @@ void PathTracer::reflectFromEmitters(PathBatchResult& result, const GatherDraw* 
     for (int j = 0; j < mPathCount; ++j) {
         const Path& path = mPaths[j];
         const SurfacePoint& s = path.surface;
-        const Vec3f from = s.leaving();
         const EmitterSample e = texel[j] >= 0
             ? mImpl.emitters.sampleEnvironmentTexel(texel[j], u[j], v[j])
             : mImpl.emitters.sample(
                 s.receiver(), t[j], u[j], v[j], [&](std::uint32_t triangle, float tu, float tv) {
                     return mImpl.emissionAt(mImpl.triangles[triangle], tu, tv);
                 });
-        const float cosine = s.normal.dot(e.direction);
-        if (!(e.pdf > 0) || !(cosine > 0)) continue;
-        // f cos / (p_emitter + p_cosine): balance heuristic against the cosine sample of scatter(),
-        // whose density is cos / π.
-        mShadowValue[mShadow.count] = path.throughput * s.albedo * e.radiance
-            * static_cast<float>(cosine / (e.pdf * kPi + cosine));
-        mShadowStratum[mShadow.count] = path.stratum;
-        pushShadow(mShadow, from, e);
+        pushReflected(path, e);
     }
     addUnoccluded(result);
+    reflectFromSun(result, draws);
+}
+
+void PathTracer::reflectFromSun(PathBatchResult& result, const GatherDraw* draws)
+{
+    if (!mImpl.emitters.hasSun()) return;
+    mShadow.count = 0;
+    for (int j = 0; j < mPathCount; ++j) {
+        Path& path = mPaths[j];
+        const double u = draws ? draws[j].emitter.y : path.rng.nextDouble();
+        const double v = draws ? draws[j].emitter.z : path.rng.nextDouble();
+        pushReflected(path, mImpl.emitters.sampleSun(path.surface.receiver(), u, v));
+    }
+    addUnoccluded(result);
+}
+
+/// The shadow ray of @a e and what it brings.
+void PathTracer::pushReflected(const Path& path, const EmitterSample& e)
+{
+    const SurfacePoint& s = path.surface;
+    const float cosine = s.normal.dot(e.direction);
+    if (!(e.pdf > 0) || !(cosine > 0)) return;
+    // f cos / (p_emitter + p_cosine): balance heuristic against the cosine sample of scatter(),
+    // whose density is cos / π.
+    mShadowValue[mShadow.count] = path.throughput * s.albedo * e.radiance
+        * static_cast<float>(cosine / (e.pdf * kPi + cosine));
+    mShadowStratum[mShadow.count] = path.stratum;
+    pushShadow(mShadow, s.leaving(), e);
 }
 
 void PathTracer::reflectFromPunctual(PathBatchResult& result)
@@ -398,7 +418,7 @@ void PathTracer::follow(PathBatchResult& result, bool markBacks)
             = [&](double pdf) { return static_cast<float>(cosinePdf / (cosinePdf + pdf)); };
         if (!(cosinePdf > 0)) continue;
         if (mNextHits.triangle[j] == kMiss) {
-            const Environment::Arrival light = background(mImpl, d);
+            const Environment::Arrival light = background(mImpl, path.surface.receiver(), d);
             result.uniform[path.stratum] += path.throughput * light.radiance * weight(light.pdf);
             continue;
         }
