@@ -440,18 +440,25 @@ void PathTracer::follow(PathBatchResult& result, bool markBacks)
     }
 }
 
-PunctualSample PathTracer::punctual(std::size_t light, const Vec3f& p, std::uint64_t& traced) const
+std::uint64_t PathTracer::punctual(
+    std::size_t first, std::size_t count, const Vec3f& p, PunctualSample* lights)
 {
-    const Light& l = mImpl.scene->lights[light];
-    PunctualSample s = samplePunctual(l, mImpl.toLocal(l.position), p);
-    if (!(maxComponent(s.irradiance) > 0)) return s;
-    RayBatch one;
-    one.push(p, s.infinite ? s.direction : s.target - p, s.infinite ? kInfinity : kShadowEnd);
-    ++traced;
-    std::uint8_t occluded = 0;
-    occlude(mImpl, one, &occluded);
-    if (occluded) s.irradiance = Color(0.0f);
-    return s;
+    mShadow.count = 0;
+    for (std::size_t i = 0; i < count; ++i) {
+        const Light& light = mImpl.scene->lights[first + i];
+        PunctualSample& s = lights[i];
+        s = samplePunctual(light, mImpl.toLocal(light.position), p);
+        if (!(maxComponent(s.irradiance) > 0)) continue;
+        mShadowStratum[mShadow.count] = static_cast<int>(i);
+        mShadow.push(
+            p, s.infinite ? s.direction : s.target - p, s.infinite ? kInfinity : kShadowEnd);
+    }
+    occlude(mImpl, mShadow, mOccluded);
+    note(mShadow, true);
+    for (int j = 0; j < mShadow.count; ++j) {
+        if (mOccluded[j]) lights[mShadowStratum[j]].irradiance = Color(0.0f);
+    }
+    return static_cast<std::uint64_t>(mShadow.count);
 }
 
 } // namespace lumivdb

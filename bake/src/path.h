@@ -100,9 +100,10 @@ public:
     };
     const std::vector<Seen>& seen() const { return mSeen; }
 
-    /// The light number @a light at @a p: irradiance on a surface facing it, 0 where shadowed.
-    /// Counts its shadow ray in @a traced.
-    PunctualSample punctual(std::size_t light, const Vec3f& p, std::uint64_t& traced) const;
+    /// The scene's lights [first, first + count) at @a p, count ≤ kBatch: irradiance on a surface
+    /// facing it, 0 where shadowed. Returns the rays traced.
+    std::uint64_t punctual(
+        std::size_t first, std::size_t count, const Vec3f& p, PunctualSample* lights);
 
     /// Appends every ray traced from now on to @a rays; null ends it.
     void record(std::vector<RecordedRay>* rays) { mRecorder = rays; }
