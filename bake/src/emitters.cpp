@@ -10,6 +10,8 @@ namespace {
 constexpr double kPi = 3.14159265358979323846;
 constexpr double kAlmostOne = 0x1.fffffffffffffp-1;
 constexpr double kMostSunStrata = 0.25;
+/// Irradiance of an even sky over its flux, πL / 4πL.
+constexpr double kEvenSky = 0.25;
 
 LightBound boundOf(const EmitterTable::Triangle& t)
 {
@@ -58,7 +60,7 @@ void EmitterTable::finish(std::shared_ptr<const Environment> environment)
     if (environmentLit) {
         mPerEnvironmentProbability = 1 / mEnvironmentProbability;
         mSun = mEnvironment->sun();
-        mSunHorizon = std::sin(mSun.radius);
+        mSunSine = std::sin(mSun.radius);
         mSunStrata = mSun.share > 0 ? sunStrata(mSun) : 0;
     }
     if (!(trianglePower > 0)) return;
@@ -80,7 +82,7 @@ EmitterTable::Choice EmitterTable::choose(const Receiver& to, double& t) const
     const double rest = environmentRest(t);
     if (!(rest >= 0)) return chooseTriangle(to, t);
     const std::size_t sun = mTriangles.size(), sky = sun + 1;
-    const double share = to.oneSided() ? 0 : mSunStrata;
+    const double share = sunChance(to);
     if (rest < share) {
         t = rest / share;
         return {sun, mEnvironmentProbability * share};
@@ -106,38 +108,39 @@ EmitterTable::Choice EmitterTable::chooseTriangle(const Receiver& to, double& t)
     return {index, mTriangles[index].probability};
 }
 
-EmitterSample EmitterTable::environmentSample(const Environment::Sample& e, double density) const
+EmitterSample EmitterTable::environmentSample(
+    const Receiver& to, const Environment::Sample& e) const
 {
     EmitterSample s;
     s.direction = Vec3f(e.direction);
     s.infinite = true;
     s.radiance = e.radiance;
-    s.pdf = e.pdf * density;
+    s.pdf = e.pdf * environmentDensity(to, e.sun);
     return s;
 }
 
-EmitterSample EmitterTable::sampleEnvironmentTexel(std::int64_t texel, double u, double v) const
+EmitterSample EmitterTable::sampleSkyTexel(
+    const Receiver& to, std::int64_t texel, double u, double v) const
 {
-    return environmentSample(mEnvironment->sampleTexel(static_cast<std::uint32_t>(texel), u, v),
-        mEnvironmentProbability / (1 - mSun.share));
+    return environmentSample(
+        to, mEnvironment->sampleTexel(static_cast<std::uint32_t>(texel), u, v));
 }
 
-EmitterSample EmitterTable::sampleSun(const Receiver& to, double u, double v) const
+double EmitterTable::sunChance(const Receiver& to) const
 {
-    const double density = environmentDensity(to, true);
-    return density > 0 ? environmentSample(mEnvironment->sampleSun(u, v), density)
-                       : EmitterSample();
+    if (!to.oneSided() || !(mSun.share > 0)) return mSunStrata;
+    // A part of it above the horizon is as much as its edge.
+    const double cosine = Vec3d(to.normal).dot(mSun.direction);
+    if (!(cosine > -mSunSine)) return 0;
+    const double sun = mSun.share * std::max(cosine, mSunSine);
+    return sun / (sun + (1 - mSun.share) * kEvenSky);
 }
 
 double EmitterTable::environmentDensity(const Receiver& to, bool sun) const
 {
-    if (!hasSun()) return mEnvironmentProbability;
-    const double part = sun ? mSun.share : 1 - mSun.share;
-    if (!to.oneSided()) {
-        return mEnvironmentProbability * (sun ? mSunStrata : 1 - mSunStrata) / part;
-    }
-    if (!sun) return mEnvironmentProbability / part;
-    return Vec3d(to.normal).dot(mSun.direction) > -mSunHorizon ? 1 / part : 0;
+    if (!(mSun.share > 0)) return mEnvironmentProbability;
+    const double chance = sunChance(to);
+    return mEnvironmentProbability * (sun ? chance / mSun.share : (1 - chance) / (1 - mSun.share));
 }
 
 double EmitterTable::pdfTriangle(

@@ -29,10 +29,9 @@ struct EmitterSample {
 /// Emissive triangles and the environment, which is as likely as all of them. Up to kFewEmitters
 /// triangles are chosen by their power, more of them by a LightTree: by about what they give there.
 ///
-/// An environment's sun is an emitter of its own. For a receiver without a normal, whose samples
-/// come in strata, it has a share of the environment's. On surfaces, where they come one by one and
-/// the choice between sun and sky would be most of the noise, it is not among what sample() draws:
-/// one sampleSun() goes with each sample().
+/// An environment's sun is an emitter of its own. On a surface its share of the environment's is
+/// that of what it would give there unhidden, beside an even sky of the sky's flux: none below the
+/// horizon. For a receiver without a normal, whose samples come in strata, it is fixed.
 class EmitterTable {
 public:
     struct Triangle {
@@ -62,29 +61,24 @@ public:
     EmitterSample sampleStratum(const Receiver& to, double t, const Emission& emission) const;
 
     /// Draws the emitter from t and the point on it from u, v: for independent random numbers.
-    /// Without the sun. @pre the receiver has a normal
     template <class Emission>
     EmitterSample sample(
         const Receiver& to, double t, double u, double v, const Emission& emission) const;
 
-    /// sample() for many, see Environment: first prefetch(t) for all, then environmentTexel(t) for
-    /// all, which is −1 where t draws a triangle, else what sampleEnvironmentTexel() takes.
-    void prefetch(double t) const
+    /// sample() for many, see Environment: first prefetch(t) for all, then skyTexel(t) for all,
+    /// which is −1 where t does not draw the sky (all of an environment that has no sun), else what
+    /// sampleSkyTexel() takes.
+    void prefetch(const Receiver& to, double t) const
     {
-        const double rest = environmentRest(t);
+        const double rest = skyRest(to, t);
         if (rest >= 0) mEnvironment->prefetchDraw(rest);
     }
-    std::int64_t environmentTexel(double t) const
+    std::int64_t skyTexel(const Receiver& to, double t) const
     {
-        const double rest = environmentRest(t);
+        const double rest = skyRest(to, t);
         return rest >= 0 ? std::int64_t{mEnvironment->drawTexel(rest)} : -1;
     }
-    EmitterSample sampleEnvironmentTexel(std::int64_t texel, double u, double v) const;
-
-    bool hasSun() const { return mSun.share > 0; }
-    /// A point of the sun; pdf is 0 where all of it is below the horizon. @pre hasSun(), @a to has
-    /// a normal
-    EmitterSample sampleSun(const Receiver& to, double u, double v) const;
+    EmitterSample sampleSkyTexel(const Receiver& to, std::int64_t texel, double u, double v) const;
 
     /// Density of sample() at @a to for a triangle met at @a distance under |cos| = @a cosine.
     double pdfTriangle(const Receiver& to, int emitter, double distance, double cosine) const;
@@ -111,14 +105,24 @@ private:
             ? std::min((t - mEnvironmentStart) * mPerEnvironmentProbability, 0x1.fffffffffffffp-1)
             : -1.0;
     }
-    EmitterSample environmentSample(const Environment::Sample& e, double density) const;
+    /// What t has left where it draws the sky, else negative.
+    double skyRest(const Receiver& to, double t) const
+    {
+        const double rest = environmentRest(t);
+        if (!(rest >= 0) || !(mSun.share > 0)) return rest;
+        const double sun = sunChance(to);
+        return rest < sun ? -1.0 : std::min((rest - sun) / (1 - sun), 0x1.fffffffffffffp-1);
+    }
+    /// Of drawing the sun, where the environment is drawn.
+    double sunChance(const Receiver& to) const;
+    EmitterSample environmentSample(const Receiver& to, const Environment::Sample& e) const;
 
     std::vector<Triangle> mTriangles;
     std::shared_ptr<const Environment> mEnvironment;
     double mEnvironmentProbability = 0, mPerEnvironmentProbability = 0;
     double mEnvironmentStart = 0; // of the t that draw it
     Environment::Sun mSun;
-    double mSunHorizon = 0; // sine of its radius
+    double mSunSine = 0; // of its radius
     double mSunStrata = 0; // share of the environment's where there is no normal
     std::vector<double> mCdf; // triangles in order; ends where the environment starts
     LightTree mTree; // of the triangles, where they are many

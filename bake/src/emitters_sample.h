@@ -35,9 +35,10 @@ template <class Emission>
 EmitterSample EmitterTable::sample(
     const Receiver& to, double t, double u, double v, const Emission& emission) const
 {
-    const std::int64_t texel = environmentTexel(t);
-    if (texel >= 0) return sampleEnvironmentTexel(texel, u, v);
-    return samplePoint(chooseTriangle(to, t), to, u, v, emission);
+    const std::int64_t texel = skyTexel(to, t);
+    if (texel >= 0) return sampleSkyTexel(to, texel, u, v);
+    const Choice choice = choose(to, t);
+    return samplePoint(choice, to, u, v, emission);
 }
 
 template <class Emission>
@@ -47,9 +48,9 @@ EmitterSample EmitterTable::samplePoint(const Choice& choice, const Receiver& to
     if (!(choice.probability > 0)) return {};
     if (choice.emitter >= mTriangles.size()) {
         const bool sun = choice.emitter == mTriangles.size();
-        return environmentSample(sun ? mEnvironment->sampleSun(squareU, squareV)
-                                     : mEnvironment->sampleSky(squareU, squareV),
-            environmentDensity(to, sun));
+        return environmentSample(to,
+            sun ? mEnvironment->sampleSun(squareU, squareV)
+                : mEnvironment->sampleSky(squareU, squareV));
     }
     const Vec3f from = to.position;
     const Vec2f place = squareToTriangle({squareU, squareV});

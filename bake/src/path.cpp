@@ -314,34 +314,22 @@ void PathTracer::reflectFromEmitters(PathBatchResult& result, const GatherDraw* 
         t[j] = draws ? draws[j].emitter.x : rng.nextDouble();
         u[j] = draws ? draws[j].emitter.y : rng.nextDouble();
         v[j] = draws ? draws[j].emitter.z : rng.nextDouble();
-        mImpl.emitters.prefetch(t[j]);
+        mImpl.emitters.prefetch(mPaths[j].surface.receiver(), t[j]);
     }
-    std::int64_t texel[kBatch]; // of the environment
-    for (int j = 0; j < mPathCount; ++j) texel[j] = mImpl.emitters.environmentTexel(t[j]);
+    std::int64_t texel[kBatch]; // of the sky
+    for (int j = 0; j < mPathCount; ++j) {
+        texel[j] = mImpl.emitters.skyTexel(mPaths[j].surface.receiver(), t[j]);
+    }
     for (int j = 0; j < mPathCount; ++j) {
         const Path& path = mPaths[j];
         const SurfacePoint& s = path.surface;
         const EmitterSample e = texel[j] >= 0
-            ? mImpl.emitters.sampleEnvironmentTexel(texel[j], u[j], v[j])
+            ? mImpl.emitters.sampleSkyTexel(s.receiver(), texel[j], u[j], v[j])
             : mImpl.emitters.sample(
                 s.receiver(), t[j], u[j], v[j], [&](std::uint32_t triangle, float tu, float tv) {
                     return mImpl.emissionAt(mImpl.triangles[triangle], tu, tv);
                 });
         pushReflected(path, e);
-    }
-    addUnoccluded(result);
-    reflectFromSun(result, draws);
-}
-
-void PathTracer::reflectFromSun(PathBatchResult& result, const GatherDraw* draws)
-{
-    if (!mImpl.emitters.hasSun()) return;
-    mShadow.count = 0;
-    for (int j = 0; j < mPathCount; ++j) {
-        Path& path = mPaths[j];
-        const double u = draws ? draws[j].emitter.y : path.rng.nextDouble();
-        const double v = draws ? draws[j].emitter.z : path.rng.nextDouble();
-        pushReflected(path, mImpl.emitters.sampleSun(path.surface.receiver(), u, v));
     }
     addUnoccluded(result);
 }

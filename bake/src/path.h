@@ -122,7 +122,6 @@ private:
         std::uint64_t key, PathBatchResult& result);
     /// @a draws gives the numbers that choose emitters, else the paths' own do.
     void reflectFromEmitters(PathBatchResult& result, const GatherDraw* draws = nullptr);
-    void reflectFromSun(PathBatchResult& result, const GatherDraw* draws);
     void pushReflected(const Path& path, const EmitterSample& e);
     void reflectFromPunctual(PathBatchResult& result);
     void scatter(int bounce, PathBatchResult& result);

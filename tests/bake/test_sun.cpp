@@ -174,7 +174,7 @@ TEST_CASE("Sun and sky are drawn apart and together make the map", "[sun][enviro
     }
 }
 
-TEST_CASE("A sun has a quarter of a probe's strata, and a draw of its own at surfaces", "[sun]")
+TEST_CASE("A sun has a quarter of a probe's strata, and what is due to it at surfaces", "[sun]")
 {
     const auto env = skyWithSun(1, 3000);
     EmitterTable table;
@@ -189,13 +189,22 @@ TEST_CASE("A sun has a quarter of a probe's strata, and a draw of its own at sur
     }
     CHECK(inSun == 16);
 
-    const Receiver facing{{0, 0, 0}, Vec3f(kTowardsSun)}, away{{0, 0, 0}, Vec3f(-kTowardsSun)};
-    for (int i = 0; i < 64; ++i) {
-        const EmitterSample sky = table.sample(facing, (i + 0.5) / 64, 0.3, 0.6, noTriangle);
-        CHECK_FALSE(env->arrival(Vec3d(sky.direction)).sun);
+    // At a surface by what each would give: E cos of the sun, a quarter of the sky's flux.
+    const double sun = 3000 * sunSolidAngle(), sky = (4 * kPi - sunSolidAngle()) / 4;
+    for (const double cosine : {1.0, 0.3, -0.3}) {
+        const Vec3d n = kTowardsSun * cosine + across(kTowardsSun) * std::sqrt(1 - cosine * cosine);
+        const Receiver to{{0, 0, 0}, Vec3f(n)};
+        inSun = 0;
+        for (int i = 0; i < 1000; ++i) {
+            const EmitterSample s = table.sample(to, (i + 0.5) / 1000, 0.3, 0.6, noTriangle);
+            const Environment::Arrival there = env->arrival(Vec3d(s.direction));
+            if (std::abs(s.pdf / there.pdf / table.environmentDensity(to, there.sun) - 1) > 1e-4)
+                FAIL("density");
+            inSun += there.sun;
+        }
+        const double E = sun * std::max(0.0, cosine);
+        CHECK(std::abs(inSun - 1000 * E / (E + sky)) < 3);
     }
-    CHECK(env->arrival(Vec3d(table.sampleSun(facing, 0.3, 0.6).direction)).sun);
-    CHECK(table.sampleSun(away, 0.3, 0.6).pdf == 0);
 }
 
 TEST_CASE("Sun and sky over free space and a lamp's light", "[sun][closed]")
