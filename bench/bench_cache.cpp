@@ -32,19 +32,21 @@ constexpr int kNormals = 32;
 
 struct Settings {
     std::string scene, environment;
-    bool sun = false, front = false;
+    bool sun = false, front = false, lights = true;
     Contribution contribution = Contribution::All;
     Box3d bounds;
     std::size_t points = 200;
-    int referenceRays = 8192, threads = 1, most = 2048, repeats = 3;
+    int referenceRays = 8192, threads = 1, most = 2048, repeats = 3, seeds = 1;
     RadianceCacheOptions cache;
 };
 
 int usage(const char* program)
 {
     std::fprintf(stderr,
-        "usage: %s SCENE [env=FILE] [sun=1] [bounds=x,y,z,x,y,z] [points=200] [threads=1]\n"
-        "  [reference=8192 rays a point, twice] [most=2048 rays a point] [repeats=3]\n  [front=1: "
+        "usage: %s SCENE [env=FILE] [sun=1] [lights=0: none of the file's] [bounds=x,y,z,x,y,z] "
+        "[points=200] [threads=1]\n"
+        "  [reference=8192 rays a point, twice] [most=2048 rays a point] [repeats=3]\n  [seeds=1: "
+        "directions, which all points share, to take the mean square error over]\n  [front=1: "
         "lamps shine to their front] [contribution=all|direct|indirect]\n"
         "  [patches=N] [rays=N a patch] [nearness=R] [maxpatches=N]\n",
         program);
@@ -71,6 +73,8 @@ bool parse(int argc, char** argv, Settings& s)
             s.environment = value;
         else if (key == "sun")
             s.sun = std::atoi(value) != 0;
+        else if (key == "lights")
+            s.lights = std::atoi(value) != 0;
         else if (key == "contribution")
             s.contribution = std::strcmp(value, "direct") == 0 ? Contribution::Direct
                 : std::strcmp(value, "indirect") == 0          ? Contribution::Indirect
@@ -85,6 +89,8 @@ bool parse(int argc, char** argv, Settings& s)
             s.threads = std::atoi(value);
         else if (key == "repeats")
             s.repeats = std::atoi(value);
+        else if (key == "seeds")
+            s.seeds = std::atoi(value);
         else if (key == "reference")
             s.referenceRays = std::atoi(value);
         else if (key == "most")
@@ -181,12 +187,23 @@ std::vector<Cost> curve(const char* name, const Tracer& tracer, ProbeOptions opt
     const Settings& s, const std::vector<Vec3d>& points, const Reference& ref)
 {
     std::vector<Cost> costs;
+    const std::uint64_t first = options.seed;
     for (options.rays = 32; options.rays <= s.most; options.rays *= 2) {
+        options.seed = first;
         Field f = measure(tracer, options, points);
-        const auto [rms, mean] = errorOf(f.values, ref);
-        for (int again = 1; again < s.repeats; ++again) {
-            f.seconds = std::min(f.seconds, measure(tracer, options, points).seconds);
+        auto [rms, mean] = errorOf(f.values, ref);
+        double square = rms * rms, sum = mean;
+        for (int again = 1; again < std::max(s.repeats, s.seeds); ++again) {
+            options.seed = first + static_cast<std::uint64_t>(again % s.seeds);
+            const Field other = measure(tracer, options, points);
+            f.seconds = std::min(f.seconds, other.seconds);
+            if (again >= s.seeds) continue;
+            const auto error = errorOf(other.values, ref);
+            square += error.first * error.first;
+            sum += error.second;
         }
+        rms = std::sqrt(square / s.seeds);
+        mean = sum / s.seeds;
         const double seconds = f.seconds / static_cast<double>(points.size());
         std::printf(
             "%-7s %6d rays  %8.3f ms a point  %6.1f Mrays/s  rel_rmse %7.3f%%  mean %+.3f%%\n",
@@ -242,6 +259,7 @@ int run(int argc, char** argv)
     std::vector<std::string> warnings;
     if (!s.environment.empty()) scene->environment = Environment::load(s.environment, {}, warnings);
     for (Material& m : scene->materials) m.emitsFrontOnly = s.front;
+    if (!s.lights) scene->lights.clear();
     if (s.sun) {
         Light sun;
         sun.type = LightType::Directional;

@@ -9,6 +9,9 @@ namespace {
 
 constexpr double kPi = 3.14159265358979323846;
 constexpr double kAlmostOne = 0x1.fffffffffffffp-1;
+constexpr double kMostSunStrata = 0.25;
+/// Irradiance of an even sky over its flux, πL / 4πL.
+constexpr double kEvenSky = 0.25;
 
 LightBound boundOf(const EmitterTable::Triangle& t)
 {
@@ -22,6 +25,16 @@ LightBound boundOf(const EmitterTable::Triangle& t)
     b.twoSided = t.doubleSided;
     b.intensity = t.power / (kPi * (t.doubleSided ? 2 : 1));
     return b;
+}
+
+/// Share of the environment's strata that its sun gets. A few say all where it is seen or hidden as
+/// a whole, so it need not be that of its light; a power of two, so that no stratum is part sun
+/// and part sky where their number is one: a single sample more or less of the sun is much.
+double sunStrata(const Environment::Sun& sun)
+{
+    double share = kMostSunStrata;
+    while (share > sun.share) share /= 2;
+    return share;
 }
 
 } // namespace
@@ -43,21 +56,22 @@ void EmitterTable::finish(std::shared_ptr<const Environment> environment)
     // Which of the two lights a place is anyone's guess (a lamp in a closed room under a bright
     // sky): equal shares bound what a wrong guess costs.
     mEnvironmentProbability = !environmentLit ? 0 : trianglePower > 0 ? 0.5 : 1;
+    mEnvironmentStart = trianglePower > 0 ? 1 - mEnvironmentProbability : 0;
+    if (environmentLit) {
+        mPerEnvironmentProbability = 1 / mEnvironmentProbability;
+        mSun = mEnvironment->sun();
+        mSunSine = std::sin(mSun.radius);
+        mSunStrata = mSun.share > 0 ? sunStrata(mSun) : 0;
+    }
+    if (!(trianglePower > 0)) return;
     double sum = 0;
     for (Triangle& t : mTriangles) {
-        t.probability
-            = trianglePower > 0 ? t.power / trianglePower * (1 - mEnvironmentProbability) : 0.0;
+        t.probability = t.power / trianglePower * (1 - mEnvironmentProbability);
         sum += t.probability;
         mCdf.push_back(sum);
     }
-    if (environmentLit) {
-        mPerEnvironmentProbability = 1 / mEnvironmentProbability;
-        mEnvironmentStart = mCdf.empty() ? 0.0 : mCdf.back();
-    }
-    mCdf.push_back(1.0);
-    // Rounding must not leave a gap at the end that nothing owns.
-    if (!environmentLit) mCdf[mCdf.size() - 2] = 1.0;
-    if (mTriangles.size() <= kFewEmitters || !(trianglePower > 0)) return;
+    mCdf.back() = 1 - mEnvironmentProbability; // rounding must not leave a gap that nothing owns
+    if (mTriangles.size() <= kFewEmitters) return;
     std::vector<LightBound> bounds;
     for (const Triangle& t : mTriangles) bounds.push_back(boundOf(t));
     mTree = LightTree(bounds);
@@ -65,45 +79,68 @@ void EmitterTable::finish(std::shared_ptr<const Environment> environment)
 
 EmitterTable::Choice EmitterTable::choose(const Receiver& to, double& t) const
 {
-    if (!mTree.empty()) return chooseFromTree(to, t);
+    const double rest = environmentRest(t);
+    if (!(rest >= 0)) return chooseTriangle(to, t);
+    const std::size_t sun = mTriangles.size(), sky = sun + 1;
+    const double share = sunChance(to);
+    if (rest < share) {
+        t = rest / share;
+        return {sun, mEnvironmentProbability * share};
+    }
+    t = std::min((rest - share) / (1 - share), kAlmostOne);
+    return {sky, mEnvironmentProbability * (1 - share)};
+}
+
+EmitterTable::Choice EmitterTable::chooseTriangle(const Receiver& to, double& t) const
+{
+    if (mCdf.empty()) return {0, 0.0};
+    if (!mTree.empty()) {
+        const double triangles = 1 - mEnvironmentProbability;
+        t = std::min(t / triangles, kAlmostOne);
+        const LightTree::Choice c = mTree.choose(to, t);
+        return {c.light, c.probability * triangles};
+    }
     const auto it = std::upper_bound(mCdf.begin(), mCdf.end() - 1, t);
     const auto index = static_cast<std::size_t>(it - mCdf.begin());
     const double low = index == 0 ? 0.0 : mCdf[index - 1];
     const double width = mCdf[index] - low;
     t = width > 0 ? std::clamp((t - low) / width, 0.0, kAlmostOne) : 0.0;
-    return {index, index < mTriangles.size() ? mTriangles[index].probability : width};
+    return {index, mTriangles[index].probability};
 }
 
-EmitterTable::Choice EmitterTable::chooseFromTree(const Receiver& to, double& t) const
-{
-    const double triangles = 1 - mEnvironmentProbability;
-    if (t < triangles) {
-        t = std::min(t / triangles, kAlmostOne);
-        const LightTree::Choice c = mTree.choose(to, t);
-        return {c.light, c.probability * triangles};
-    }
-    t = std::clamp((t - triangles) / mEnvironmentProbability, 0.0, kAlmostOne);
-    return {mTriangles.size(), mEnvironmentProbability};
-}
-
-EmitterSample EmitterTable::environmentSample(const Environment::Sample& e) const
+EmitterSample EmitterTable::environmentSample(
+    const Receiver& to, const Environment::Sample& e) const
 {
     EmitterSample s;
     s.direction = Vec3f(e.direction);
     s.infinite = true;
     s.radiance = e.radiance;
-    s.pdf = e.pdf * mEnvironmentProbability;
+    s.pdf = e.pdf * environmentDensity(to, e.sun);
     return s;
 }
 
-EmitterSample EmitterTable::sampleEnvironment(double u, double v) const
+EmitterSample EmitterTable::sampleSkyTexel(
+    const Receiver& to, std::int64_t texel, double u, double v) const
 {
-    return mEnvironment ? environmentSample(mEnvironment->sample(u, v)) : EmitterSample();
+    return environmentSample(
+        to, mEnvironment->sampleTexel(static_cast<std::uint32_t>(texel), u, v));
 }
 
-EmitterSample EmitterTable::sampleEnvironmentTexel(std::int64_t texel, double u, double v) const
+double EmitterTable::sunChance(const Receiver& to) const
 {
-    return environmentSample(mEnvironment->sampleTexel(static_cast<std::uint32_t>(texel), u, v));
+    if (!to.oneSided() || !(mSun.share > 0)) return mSunStrata;
+    // A part of it above the horizon is as much as its edge.
+    const double cosine = Vec3d(to.normal).dot(mSun.direction);
+    if (!(cosine > -mSunSine)) return 0;
+    const double sun = mSun.share * std::max(cosine, mSunSine);
+    return sun / (sun + (1 - mSun.share) * kEvenSky);
+}
+
+double EmitterTable::environmentDensity(const Receiver& to, bool sun) const
+{
+    if (!(mSun.share > 0)) return mEnvironmentProbability;
+    const double chance = sunChance(to);
+    return mEnvironmentProbability * (sun ? chance / mSun.share : (1 - chance) / (1 - mSun.share));
 }
 
 double EmitterTable::pdfTriangle(
@@ -115,13 +152,6 @@ double EmitterTable::pdfTriangle(
                                         : mTree.probability(to, static_cast<std::uint32_t>(emitter))
             * (1 - mEnvironmentProbability);
     return chance / e.area * distance * distance / cosine;
-}
-
-double EmitterTable::pdfEnvironment(const Vec3f& direction) const
-{
-    return mEnvironmentProbability > 0
-        ? mEnvironmentProbability * mEnvironment->pdf(Vec3d(direction))
-        : 0.0;
 }
 
 double rangeWindow(double distance, double range)

@@ -28,6 +28,10 @@ struct EmitterSample {
 
 /// Emissive triangles and the environment, which is as likely as all of them. Up to kFewEmitters
 /// triangles are chosen by their power, more of them by a LightTree: by about what they give there.
+///
+/// An environment's sun is an emitter of its own. On a surface its share of the environment's is
+/// that of what it would give there unhidden, beside an even sky of the sky's flux: none below the
+/// horizon. For a receiver without a normal, whose samples come in strata, it is fixed.
 class EmitterTable {
 public:
     struct Triangle {
@@ -44,7 +48,7 @@ public:
     int add(const Triangle& triangle);
     void finish(std::shared_ptr<const Environment> environment);
 
-    bool empty() const { return mCdf.empty(); }
+    bool empty() const { return mCdf.empty() && !(mEnvironmentProbability > 0); }
     std::size_t triangleCount() const { return mTriangles.size(); }
     const std::vector<Triangle>& triangles() const { return mTriangles; }
 
@@ -61,38 +65,39 @@ public:
     EmitterSample sample(
         const Receiver& to, double t, double u, double v, const Emission& emission) const;
 
-    /// sample() for many, see Environment: first prefetch(t) for all, then environmentTexel(t) for
-    /// all, which is −1 where t draws a triangle, else what sampleEnvironmentTexel() takes.
-    void prefetch(double t) const
+    /// sample() for many, see Environment: first prefetch(t) for all, then skyTexel(t) for all,
+    /// which is −1 where t does not draw the sky (all of an environment that has no sun), else what
+    /// sampleSkyTexel() takes.
+    void prefetch(const Receiver& to, double t) const
     {
-        const double rest = environmentRest(t);
+        const double rest = skyRest(to, t);
         if (rest >= 0) mEnvironment->prefetchDraw(rest);
     }
-    std::int64_t environmentTexel(double t) const
+    std::int64_t skyTexel(const Receiver& to, double t) const
     {
-        const double rest = environmentRest(t);
+        const double rest = skyRest(to, t);
         return rest >= 0 ? std::int64_t{mEnvironment->drawTexel(rest)} : -1;
     }
-    EmitterSample sampleEnvironmentTexel(std::int64_t texel, double u, double v) const;
+    EmitterSample sampleSkyTexel(const Receiver& to, std::int64_t texel, double u, double v) const;
 
     /// Density of sample() at @a to for a triangle met at @a distance under |cos| = @a cosine.
     double pdfTriangle(const Receiver& to, int emitter, double distance, double cosine) const;
-    double pdfEnvironment(const Vec3f& direction) const;
-    /// Of drawing the environment.
-    double environmentProbability() const { return mEnvironmentProbability; }
+    /// Density at @a to of all that draws directions of the environment (its part @a sun, or the
+    /// sky), over that of Environment::sample().
+    double environmentDensity(const Receiver& to, bool sun) const;
 
 private:
-    /// An emitter, triangleCount() being the environment, and the chance to draw it.
+    /// An emitter, triangleCount() being the sun and one more the sky (all of an environment that
+    /// has no sun), and the chance to draw it.
     struct Choice {
         std::size_t emitter;
         double probability; ///< 0: none
     };
     Choice choose(const Receiver& to, double& t) const;
-    Choice chooseFromTree(const Receiver& to, double& t) const;
+    Choice chooseTriangle(const Receiver& to, double& t) const;
     template <class Emission>
-    EmitterSample samplePoint(const Choice& choice, const Vec3f& from, double s, double t,
+    EmitterSample samplePoint(const Choice& choice, const Receiver& to, double s, double t,
         const Emission& emission) const;
-    EmitterSample sampleEnvironment(double u, double v) const;
     /// What t ∈ [0, 1) has left where it draws the environment, else negative.
     double environmentRest(double t) const
     {
@@ -100,13 +105,26 @@ private:
             ? std::min((t - mEnvironmentStart) * mPerEnvironmentProbability, 0x1.fffffffffffffp-1)
             : -1.0;
     }
-    EmitterSample environmentSample(const Environment::Sample& e) const;
+    /// What t has left where it draws the sky, else negative.
+    double skyRest(const Receiver& to, double t) const
+    {
+        const double rest = environmentRest(t);
+        if (!(rest >= 0) || !(mSun.share > 0)) return rest;
+        const double sun = sunChance(to);
+        return rest < sun ? -1.0 : std::min((rest - sun) / (1 - sun), 0x1.fffffffffffffp-1);
+    }
+    /// Of drawing the sun, where the environment is drawn.
+    double sunChance(const Receiver& to) const;
+    EmitterSample environmentSample(const Receiver& to, const Environment::Sample& e) const;
 
     std::vector<Triangle> mTriangles;
     std::shared_ptr<const Environment> mEnvironment;
     double mEnvironmentProbability = 0, mPerEnvironmentProbability = 0;
     double mEnvironmentStart = 0; // of the t that draw it
-    std::vector<double> mCdf; // triangles in order, then the environment; ends at 1
+    Environment::Sun mSun;
+    double mSunSine = 0; // of its radius
+    double mSunStrata = 0; // share of the environment's where there is no normal
+    std::vector<double> mCdf; // triangles in order; ends where the environment starts
     LightTree mTree; // of the triangles, where they are many
 };
 

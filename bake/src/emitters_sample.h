@@ -28,26 +28,31 @@ EmitterSample EmitterTable::sampleStratum(
 {
     const Choice choice = choose(to, t);
     const Vec2d square = hilbertPoint(t);
-    return samplePoint(choice, to.position, square.x, square.y, emission);
+    return samplePoint(choice, to, square.x, square.y, emission);
 }
 
 template <class Emission>
 EmitterSample EmitterTable::sample(
     const Receiver& to, double t, double u, double v, const Emission& emission) const
 {
-    const std::int64_t texel = environmentTexel(t);
-    if (texel >= 0) return sampleEnvironmentTexel(texel, u, v);
+    const std::int64_t texel = skyTexel(to, t);
+    if (texel >= 0) return sampleSkyTexel(to, texel, u, v);
     const Choice choice = choose(to, t);
-    return samplePoint(choice, to.position, u, v, emission);
+    return samplePoint(choice, to, u, v, emission);
 }
 
 template <class Emission>
-EmitterSample EmitterTable::samplePoint(const Choice& choice, const Vec3f& from, double squareU,
+EmitterSample EmitterTable::samplePoint(const Choice& choice, const Receiver& to, double squareU,
     double squareV, const Emission& emission) const
 {
     if (!(choice.probability > 0)) return {};
-    if (choice.emitter == mTriangles.size()) return sampleEnvironment(squareU, squareV);
-
+    if (choice.emitter >= mTriangles.size()) {
+        const bool sun = choice.emitter == mTriangles.size();
+        return environmentSample(to,
+            sun ? mEnvironment->sampleSun(squareU, squareV)
+                : mEnvironment->sampleSky(squareU, squareV));
+    }
+    const Vec3f from = to.position;
     const Vec2f place = squareToTriangle({squareU, squareV});
     const float u = place.x, v = place.y;
     const Triangle& e = mTriangles[choice.emitter];

@@ -4,7 +4,7 @@
 // texels (marginal over rows, conditional over columns), the rotation, the SH projection.
 #include <lumivdb/bake/environment.h>
 
-#include "environment_projection.h"
+#include "environment_sun.h"
 
 #include <lumivdb/core/error.h>
 #include <lumivdb/core/random.h>
@@ -19,7 +19,10 @@
 namespace lumivdb {
 
 using detail::ImageProjection;
+using detail::invertRunningSum;
+using detail::luminanceOf;
 using detail::SphereNode;
+using detail::SunTexels;
 using detail::Texel;
 
 namespace {
@@ -29,21 +32,6 @@ constexpr double kPi = 3.14159265358979323846;
 /// Points are drawn this far (in texels) from a texel's border, so that rounding in the way to a
 /// direction and back finds the same texel again.
 constexpr double kInset = 1e-8;
-
-/// In double so that every texel with any positive channel keeps a positive weight.
-double luminanceOf(const Color& c) { return 0.2126 * c.x + 0.7152 * c.y + 0.0722 * c.z; }
-
-/// Index k of the step of the running sums @a cum that u · cum[n−1] falls in, and where in it.
-/// Steps of no height are never chosen. Monotone in u.
-int invertRunningSum(const double* cum, int n, double u, double& fraction)
-{
-    const double target = u * cum[n - 1];
-    const double* step = std::upper_bound(cum, cum + n, target);
-    if (step == cum + n) step = std::lower_bound(cum, cum + n, cum[n - 1]); // u rounded up to 1
-    const double before = step == cum ? 0.0 : step[-1];
-    fraction = std::clamp((target - before) / (*step - before), kInset, 1.0 - kInset);
-    return static_cast<int>(step - cum);
-}
 
 /// A cell of Walker's alias method (ACM TOMS 3(3), 1977): @a keep of it is the cell's own texel.
 struct AliasCell {
@@ -79,11 +67,14 @@ std::vector<AliasCell> aliasCells(std::vector<double> mass)
 struct Light {
     std::unique_ptr<const ImageProjection> projection;
     std::vector<Color> pixels;
+    SunTexels sun;
+    // Of the sky, which is all texels but the sun's:
     std::vector<double> columnSums; ///< per row: running sums of luminance × solid angle
     std::vector<double> rowSums; ///< running sums of the rows' totals
     std::vector<AliasCell> alias; ///< over all texels, for numbers without strata
-    double total = 0.0; ///< ∫ luminance dω
+    double total = 0.0; ///< ∫ luminance dω, the sun's included
     double perTotal = 0.0; ///< its inverse
+    double sunShare = 0.0; ///< of the total
     std::uint64_t hash = 0;
 
     const Color& at(Texel texel) const
@@ -96,7 +87,7 @@ struct Light {
         const auto cell = static_cast<std::int64_t>(t * static_cast<double>(n));
         return std::min(static_cast<std::size_t>(cell), n - 1);
     }
-    /// Number of the texel that t ∈ [0,1) draws.
+    /// Number of the texel of the sky that t ∈ [0,1) draws.
     std::uint32_t draw(double t) const
     {
         const std::size_t cell = cellOf(t);
@@ -107,6 +98,8 @@ struct Light {
     {
         return luminanceOf(at(texel)) * projection->solidAngle(texel);
     }
+    bool inSun(Texel texel) const { return sun.contains(texel, luminanceOf(at(texel))); }
+    double skyWeight(Texel texel) const { return inSun(texel) ? 0.0 : weight(texel); }
     double pdf(Texel texel, const Vec3d& d) const
     {
         const double w = weight(texel);
@@ -114,31 +107,48 @@ struct Light {
     }
 };
 
-void buildDistribution(Light& light)
+void buildAlias(Light& light)
 {
     const int w = light.projection->width, h = light.projection->height;
-    light.columnSums.resize(light.pixels.size());
-    light.rowSums.resize(h);
+    std::vector<double> mass(light.pixels.size());
+    const double scale = static_cast<double>(mass.size()) / light.rowSums[h - 1];
+    tbb::parallel_for(0, h, [&](int y) {
+        for (int x = 0; x < w; ++x) {
+            mass[static_cast<std::size_t>(y) * w + x] = scale * light.skyWeight({x, y});
+        }
+    });
+    light.alias = aliasCells(std::move(mass));
+}
+
+/// Running sums of the sky; their end is its power.
+double sumSky(Light& light)
+{
+    const int w = light.projection->width, h = light.projection->height;
     tbb::parallel_for(0, h, [&](int y) {
         double sum = 0;
         for (int x = 0; x < w; ++x) {
-            sum += light.weight({x, y});
+            sum += light.skyWeight({x, y});
             light.columnSums[static_cast<std::size_t>(y) * w + x] = sum;
         }
         light.rowSums[y] = sum;
     });
     for (int y = 1; y < h; ++y) light.rowSums[y] += light.rowSums[y - 1];
-    light.total = light.rowSums[h - 1];
+    return light.rowSums[h - 1];
+}
+
+void buildDistribution(Light& light)
+{
+    light.columnSums.resize(light.pixels.size());
+    light.rowSums.resize(light.projection->height);
+    light.total = sumSky(light);
     if (!(light.total > 0)) return;
     light.perTotal = 1 / light.total;
-    std::vector<double> mass(light.pixels.size());
-    const double scale = static_cast<double>(mass.size()) / light.total;
-    tbb::parallel_for(0, h, [&](int y) {
-        for (int x = 0; x < w; ++x) {
-            mass[static_cast<std::size_t>(y) * w + x] = scale * light.weight({x, y});
-        }
-    });
-    light.alias = aliasCells(std::move(mass));
+    light.sun = SunTexels(*light.projection, light.pixels, light.total);
+    if (!light.sun.empty()) {
+        light.sunShare = light.sun.power() * light.perTotal;
+        sumSky(light);
+    }
+    buildAlias(light);
 }
 
 template <typename T> std::uint64_t bitsOf(const T& value)
@@ -222,12 +232,12 @@ struct Environment::Impl {
         return Vec3d(row(toWorld, 0).dot(d), row(toWorld, 1).dot(d), row(toWorld, 2).dot(d));
     }
     /// The point (s, t) of a texel, as a sample.
-    Sample sampleIn(Texel texel, double s, double t) const
+    Sample sampleIn(Texel texel, double s, double t, bool sun) const
     {
         Vec3d d(0, 0, 1);
         const bool onSphere = light->projection->pointIn(texel, s, t, d);
-        if (!onSphere) return {d.normalized() * toWorld, Color(0), 0.0};
-        return {d * toWorld, light->at(texel), light->pdf(texel, d)};
+        if (!onSphere) return {d.normalized() * toWorld, Color(0), 0.0, sun};
+        return {d * toWorld, light->at(texel), light->pdf(texel, d), sun};
     }
 };
 
@@ -285,6 +295,19 @@ Color Environment::radiance(const Vec3d& d) const
 
 Environment::Sample Environment::sample(double u, double v) const
 {
+    const double sun = mImpl->light->sunShare;
+    return u < sun ? sampleSun(u / sun, v) : sampleSky((u - sun) / (1 - sun), v);
+}
+
+Environment::Sample Environment::sampleSun(double u, double v) const
+{
+    double s, t;
+    const Texel texel = mImpl->light->sun.draw(u, v, s, t);
+    return mImpl->sampleIn(texel, s, t, true);
+}
+
+Environment::Sample Environment::sampleSky(double u, double v) const
+{
     const Light& light = *mImpl->light;
     const int w = light.projection->width, h = light.projection->height;
     if (!(light.total > 0)) return {Vec3d(0, 1, 0), Color(0), 0.0};
@@ -293,7 +316,7 @@ Environment::Sample Environment::sample(double u, double v) const
     texel.y = invertRunningSum(light.rowSums.data(), h, v, t);
     texel.x = invertRunningSum(
         light.columnSums.data() + static_cast<std::size_t>(texel.y) * w, w, u, s);
-    return mImpl->sampleIn(texel, s, t);
+    return mImpl->sampleIn(texel, s, t, false);
 }
 
 void Environment::prefetchDraw(double t) const
@@ -315,7 +338,13 @@ Environment::Sample Environment::sampleTexel(std::uint32_t texel, double u, doub
     const auto w = static_cast<std::uint32_t>(mImpl->light->projection->width);
     const auto inset = [](double x) { return std::clamp(x, kInset, 1.0 - kInset); };
     return mImpl->sampleIn(
-        {static_cast<int>(texel % w), static_cast<int>(texel / w)}, inset(u), inset(v));
+        {static_cast<int>(texel % w), static_cast<int>(texel / w)}, inset(u), inset(v), false);
+}
+
+Environment::Sample Environment::draw(double t, double u, double v) const
+{
+    const double sun = mImpl->light->sunShare;
+    return t < sun ? sampleSun(u, v) : sampleTexel(drawTexel((t - sun) / (1 - sun)), u, v);
 }
 
 Environment::Arrival Environment::arrival(const Vec3d& d) const
@@ -323,7 +352,14 @@ Environment::Arrival Environment::arrival(const Vec3d& d) const
     const Light& light = *mImpl->light;
     const Vec3d local = mImpl->toImage(d);
     const Texel texel = light.projection->texelAt(local);
-    return {light.at(texel), light.pdf(texel, local)};
+    return {light.at(texel), light.pdf(texel, local), light.inSun(texel)};
+}
+
+Environment::Sun Environment::sun() const
+{
+    const Light& light = *mImpl->light;
+    if (light.sun.empty()) return {};
+    return {light.sunShare, light.sun.direction() * mImpl->toWorld, light.sun.radius()};
 }
 
 double Environment::pdf(const Vec3d& d) const { return arrival(d).pdf; }

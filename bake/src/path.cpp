@@ -84,12 +84,12 @@ Color probeValue(const EmitterSample& s)
 }
 float uniformWeight(double pdf) { return static_cast<float>(kUniformPdf / (kUniformPdf + pdf)); }
 
-/// What a ray that leaves the scene brings, and the density of drawing that way.
-Environment::Arrival background(const Tracer::Impl& impl, const Vec3f& d)
+/// What a ray from @a to that leaves the scene brings, and the density of drawing that way.
+Environment::Arrival background(const Tracer::Impl& impl, const Receiver& to, const Vec3f& d)
 {
     if (!impl.scene->environment) return {Color(0.0f), 0};
     Environment::Arrival light = impl.scene->environment->arrival(Vec3d(d));
-    light.pdf *= impl.emitters.environmentProbability();
+    light.pdf *= impl.emitters.environmentDensity(to, light.sun);
     return light;
 }
 
@@ -105,7 +105,7 @@ ProbeStratum makeStratum(
         stratum.infinite = s.direction;
         stratum.value = probeValue(s);
     }
-    const Environment::Arrival light = background(impl, direction);
+    const Environment::Arrival light = background(impl, {}, direction);
     stratum.background = light.radiance * uniformWeight(light.pdf);
     return stratum;
 }
@@ -314,30 +314,38 @@ void PathTracer::reflectFromEmitters(PathBatchResult& result, const GatherDraw* 
         t[j] = draws ? draws[j].emitter.x : rng.nextDouble();
         u[j] = draws ? draws[j].emitter.y : rng.nextDouble();
         v[j] = draws ? draws[j].emitter.z : rng.nextDouble();
-        mImpl.emitters.prefetch(t[j]);
+        mImpl.emitters.prefetch(mPaths[j].surface.receiver(), t[j]);
     }
-    std::int64_t texel[kBatch]; // of the environment
-    for (int j = 0; j < mPathCount; ++j) texel[j] = mImpl.emitters.environmentTexel(t[j]);
+    std::int64_t texel[kBatch]; // of the sky
+    for (int j = 0; j < mPathCount; ++j) {
+        texel[j] = mImpl.emitters.skyTexel(mPaths[j].surface.receiver(), t[j]);
+    }
     for (int j = 0; j < mPathCount; ++j) {
         const Path& path = mPaths[j];
         const SurfacePoint& s = path.surface;
-        const Vec3f from = s.leaving();
         const EmitterSample e = texel[j] >= 0
-            ? mImpl.emitters.sampleEnvironmentTexel(texel[j], u[j], v[j])
+            ? mImpl.emitters.sampleSkyTexel(s.receiver(), texel[j], u[j], v[j])
             : mImpl.emitters.sample(
                 s.receiver(), t[j], u[j], v[j], [&](std::uint32_t triangle, float tu, float tv) {
                     return mImpl.emissionAt(mImpl.triangles[triangle], tu, tv);
                 });
-        const float cosine = s.normal.dot(e.direction);
-        if (!(e.pdf > 0) || !(cosine > 0)) continue;
-        // f cos / (p_emitter + p_cosine): balance heuristic against the cosine sample of scatter(),
-        // whose density is cos / π.
-        mShadowValue[mShadow.count] = path.throughput * s.albedo * e.radiance
-            * static_cast<float>(cosine / (e.pdf * kPi + cosine));
-        mShadowStratum[mShadow.count] = path.stratum;
-        pushShadow(mShadow, from, e);
+        pushReflected(path, e);
     }
     addUnoccluded(result);
+}
+
+/// The shadow ray of @a e and what it brings.
+void PathTracer::pushReflected(const Path& path, const EmitterSample& e)
+{
+    const SurfacePoint& s = path.surface;
+    const float cosine = s.normal.dot(e.direction);
+    if (!(e.pdf > 0) || !(cosine > 0)) return;
+    // f cos / (p_emitter + p_cosine): balance heuristic against the cosine sample of scatter(),
+    // whose density is cos / π.
+    mShadowValue[mShadow.count] = path.throughput * s.albedo * e.radiance
+        * static_cast<float>(cosine / (e.pdf * kPi + cosine));
+    mShadowStratum[mShadow.count] = path.stratum;
+    pushShadow(mShadow, s.leaving(), e);
 }
 
 void PathTracer::reflectFromPunctual(PathBatchResult& result)
@@ -398,7 +406,7 @@ void PathTracer::follow(PathBatchResult& result, bool markBacks)
             = [&](double pdf) { return static_cast<float>(cosinePdf / (cosinePdf + pdf)); };
         if (!(cosinePdf > 0)) continue;
         if (mNextHits.triangle[j] == kMiss) {
-            const Environment::Arrival light = background(mImpl, d);
+            const Environment::Arrival light = background(mImpl, path.surface.receiver(), d);
             result.uniform[path.stratum] += path.throughput * light.radiance * weight(light.pdf);
             continue;
         }
@@ -420,18 +428,25 @@ void PathTracer::follow(PathBatchResult& result, bool markBacks)
     }
 }
 
-PunctualSample PathTracer::punctual(std::size_t light, const Vec3f& p, std::uint64_t& traced) const
+std::uint64_t PathTracer::punctual(
+    std::size_t first, std::size_t count, const Vec3f& p, PunctualSample* lights)
 {
-    const Light& l = mImpl.scene->lights[light];
-    PunctualSample s = samplePunctual(l, mImpl.toLocal(l.position), p);
-    if (!(maxComponent(s.irradiance) > 0)) return s;
-    RayBatch one;
-    one.push(p, s.infinite ? s.direction : s.target - p, s.infinite ? kInfinity : kShadowEnd);
-    ++traced;
-    std::uint8_t occluded = 0;
-    occlude(mImpl, one, &occluded);
-    if (occluded) s.irradiance = Color(0.0f);
-    return s;
+    mShadow.count = 0;
+    for (std::size_t i = 0; i < count; ++i) {
+        const Light& light = mImpl.scene->lights[first + i];
+        PunctualSample& s = lights[i];
+        s = samplePunctual(light, mImpl.toLocal(light.position), p);
+        if (!(maxComponent(s.irradiance) > 0)) continue;
+        mShadowStratum[mShadow.count] = static_cast<int>(i);
+        mShadow.push(
+            p, s.infinite ? s.direction : s.target - p, s.infinite ? kInfinity : kShadowEnd);
+    }
+    occlude(mImpl, mShadow, mOccluded);
+    note(mShadow, true);
+    for (int j = 0; j < mShadow.count; ++j) {
+        if (mOccluded[j]) lights[mShadowStratum[j]].irradiance = Color(0.0f);
+    }
+    return static_cast<std::uint64_t>(mShadow.count);
 }
 
 } // namespace lumivdb

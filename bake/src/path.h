@@ -100,9 +100,10 @@ public:
     };
     const std::vector<Seen>& seen() const { return mSeen; }
 
-    /// The light number @a light at @a p: irradiance on a surface facing it, 0 where shadowed.
-    /// Counts its shadow ray in @a traced.
-    PunctualSample punctual(std::size_t light, const Vec3f& p, std::uint64_t& traced) const;
+    /// The scene's lights [first, first + count) at @a p, count ≤ kBatch: irradiance on a surface
+    /// facing it, 0 where shadowed. Returns the rays traced.
+    std::uint64_t punctual(
+        std::size_t first, std::size_t count, const Vec3f& p, PunctualSample* lights);
 
     /// Appends every ray traced from now on to @a rays; null ends it.
     void record(std::vector<RecordedRay>* rays) { mRecorder = rays; }
@@ -121,6 +122,7 @@ private:
         std::uint64_t key, PathBatchResult& result);
     /// @a draws gives the numbers that choose emitters, else the paths' own do.
     void reflectFromEmitters(PathBatchResult& result, const GatherDraw* draws = nullptr);
+    void pushReflected(const Path& path, const EmitterSample& e);
     void reflectFromPunctual(PathBatchResult& result);
     void scatter(int bounce, PathBatchResult& result);
     void follow(PathBatchResult& result, bool markBacks = false);

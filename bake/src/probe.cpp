@@ -424,8 +424,11 @@ ProbeEstimator::Place ProbeEstimator::placeAt(
     if (!own.scratch) own.scratch = std::make_unique<Scratch>(impl, mOptions, set(0).strata);
     Place place{impl.toLocal(world), key, {}};
     if (mOptions.contribution == Contribution::Indirect) return place;
-    for (std::size_t l = 0; l < impl.scene->lights.size(); ++l) {
-        place.lights.push_back(own.scratch->paths.punctual(l, place.p, place.traced));
+    place.lights.resize(impl.scene->lights.size());
+    for (std::size_t first = 0; first < place.lights.size(); first += kBatch) {
+        const std::size_t count = std::min<std::size_t>(kBatch, place.lights.size() - first);
+        place.traced
+            += own.scratch->paths.punctual(first, count, place.p, place.lights.data() + first);
     }
     return place;
 }

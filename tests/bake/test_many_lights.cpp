@@ -132,3 +132,43 @@ TEST_CASE("Lights in twenty parts light as they did whole", "[many_lights]")
         CHECK(b.stderr_[0].x < 2 * a.stderr_[0].x);
     }
 }
+
+TEST_CASE("Hundreds of lights at a probe: each its inverse square, shadow and gradient",
+    "[many_lights][gradient]")
+{
+    // More than a batch. A black sheet hides what is above it.
+    Scene scene;
+    const int black = addMaterial(scene, Color(0.0f), Color(0.0f), true);
+    addQuad(scene, black, {-500, 1, -500}, {0, 0, 1000}, {1000, 0, 0});
+    CounterRng rng(4);
+    const Vec3d p(0.1, -0.3, 0.2), normal(0.6, 0, 0.8);
+    double E = 0, intensity = 0;
+    Vec3d change(0.0);
+    for (int i = 0; i < 700; ++i) {
+        Light light;
+        const double x = rng.nextDouble(), y = rng.nextDouble(), z = rng.nextDouble();
+        light.position = Vec3d(x, y, z) * 8.0 - Vec3d(4.0);
+        light.intensity = Color(static_cast<float>(rng.nextDouble()));
+        scene.lights.push_back(light);
+        if (light.position.y > 1) continue;
+        const Vec3d d = light.position - p;
+        const double d2 = d.length2(), I = light.intensity.x;
+        E += I * std::max(0.0, normal.dot(d)) / (d2 * std::sqrt(d2));
+        intensity += I / d2;
+        change += d * (2 * I / (d2 * d2));
+    }
+    ProbeOptions options;
+    options.rays = 64;
+    Bench bench(scene, options);
+    CHECK(bench.irradiance(p, {Vec3f(normal)}).value[0].x == Approx(E).epsilon(2e-5));
+    ProbeEstimator::Workspace workspace;
+    const ProbeResult r
+        = ProbeEstimator(bench.tracer(), options).radianceSh(p, 2, 1, workspace, true);
+    const double Y0 = 0.5 / std::sqrt(kPi);
+    CHECK(r.value[0].x == Approx(Y0 * intensity).epsilon(2e-5));
+    CHECK(r.stderr_[0].x == 0);
+    for (int axis = 0; axis < 3; ++axis) {
+        const auto k = static_cast<std::size_t>(axis) * r.value.size();
+        CHECK(r.gradient[k].x == Approx(Y0 * change[axis]).margin(1e-4 * Y0 * change.length()));
+    }
+}

@@ -57,22 +57,39 @@ public:
         Vec3d direction;
         Color radiance;
         double pdf; ///< per steradian; 0: no sample (black map, or outside the image disc)
+        bool sun = false; ///< of the sun, else of the sky
     };
     /// Draws a direction from u, v ∈ [0,1). Continuous in (u, v) almost everywhere, so that
     /// stratified (u, v) give stratified directions.
     Sample sample(double u, double v) const;
-    /// The same distribution from independent numbers, in three steps, so that many draws can wait
-    /// for memory together: for all prefetchDraw(t), for all drawTexel(t), for all sampleTexel() of
+
+    /// The part of the image that is a sun: a few texels much brighter than the others, beside
+    /// each other, that hold a good part of the flux (environment_sun.h). The rest is the sky.
+    struct Sun {
+        double share = 0; ///< of power(); 0: there is none, else below 1
+        Vec3d direction{0, 1, 0}; ///< of its middle
+        double radius = 0; ///< radians, of the cone about it that it lies in
+    };
+    Sun sun() const;
+    /// sample() of one part alone. The pdf given is still that of sample(): within the sun the
+    /// density is that over share, within the sky that over 1 − share.
+    /// @pre of sampleSun(): sun().share > 0
+    Sample sampleSun(double u, double v) const;
+    Sample sampleSky(double u, double v) const;
+    /// sampleSky() from independent numbers, in three steps, so that many draws can wait for
+    /// memory together: for all prefetchDraw(t), for all drawTexel(t), for all sampleTexel() of
     /// what that gave. t draws the texel, (u, v) the point in it. @pre power() > 0
     void prefetchDraw(double t) const;
     std::uint32_t drawTexel(double t) const;
     Sample sampleTexel(std::uint32_t texel, double u, double v) const;
-    Sample draw(double t, double u, double v) const { return sampleTexel(drawTexel(t), u, v); }
+    /// sample() from independent numbers. @pre power() > 0
+    Sample draw(double t, double u, double v) const;
     /// Density of sample() and of draw() at @a d, per steradian.
     double pdf(const Vec3d& d) const;
     struct Arrival {
         Color radiance;
         double pdf;
+        bool sun = false; ///< whether d is in the sun
     };
     /// radiance() and pdf() at once.
     Arrival arrival(const Vec3d& d) const;
