@@ -150,6 +150,7 @@ std::vector<ProbeResult> ProbeCommand::probeAll(
         RadianceCacheOptions cache;
         cache.maxBounces = probe.maxBounces;
         cache.seed = probe.seed;
+        for (const Vec3d& p : points) cache.box.extendBy(p);
         probe.cache = std::make_shared<const RadianceCache>(tracer, cache, &progress);
     }
     const ProbeEstimator estimator(tracer, probe);

@@ -271,6 +271,26 @@ TEST_CASE("The bias that is measured is the light that a cache lacks", "[radianc
     CHECK(2 * bias.rms - bias.upper < 0.25);
 }
 
+TEST_CASE("A small room in a wide plain is cut as finely as one by itself", "[radiance_cache]")
+{
+    Scene scene = room();
+    const int ground = addMaterial(scene, Color(0.4f), Color(0.0f), false);
+    addQuad(scene, ground, Vec3d(-5e4, -1, -5e4), Vec3d(0, 0, 1e5), Vec3d(1e5, 0, 0));
+    Light sun;
+    sun.type = LightType::Directional;
+    sun.direction = Vec3d(-0.3, -1, 0.5).normalized();
+    sun.intensity = Color(10.0f);
+    scene.lights.push_back(sun);
+    const auto tracer = makeTracer(std::move(scene));
+    BakeOptions options = bakeOptions(1, Vec3d(0.5), Vec3d(3.5, 2.5, 3.5), 64);
+    options.integrator = Integrator::Cached;
+    const BakeReport report = bakeVolume(*tracer, options).report;
+    INFO("rms " << report.bias.rms << ", at most " << report.bias.upper);
+    CHECK(report.bias.points > 32);
+    CHECK(report.bias.upper < 0.02);
+    CHECK(report.cache.patches < 50000);
+}
+
 TEST_CASE("Noise of paths is no error of a cached bake", "[radiance_cache]")
 {
     // Albedo 0.8: the cache is exact, and what judges it is the noisier.
