@@ -71,8 +71,8 @@ struct Worker {
 } // namespace
 
 struct RadianceCache::Impl {
-    explicit Impl(const Tracer::Impl& impl, double size)
-        : patches(impl, size)
+    Impl(const Tracer::Impl& impl, double size, std::size_t most)
+        : patches(impl, size, most)
     {
     }
     SurfacePatches patches;
@@ -87,7 +87,8 @@ public:
         , mReport(cache.mReport)
         , mProgress(progress)
     {
-        cache.mImpl = std::make_unique<RadianceCache::Impl>(mTracer, startSize());
+        cache.mImpl
+            = std::make_unique<RadianceCache::Impl>(mTracer, startSize(), mOptions.maxPatches / 2);
         mPatches = &cache.mImpl->patches;
         limitPieces(undivided().size());
         lookFromBox();
@@ -275,7 +276,8 @@ private:
         throw Error(ErrorCode::Input,
             "The radiance cache would need " + std::to_string(pieces)
                 + " patches to begin with, the limit is " + std::to_string(mOptions.maxPatches)
-                + ": the scene's triangles do not hang together. Use the path integrator.");
+                + ": the scene's triangles do not hang together and are not small. Use the path "
+                  "integrator.");
     }
 
     void meanDirect(const std::vector<Id>& ids, const std::vector<DirectLight>& direct)
@@ -449,6 +451,7 @@ private:
             mReport.mixed += mixed ? 1 : 0;
         }
         mReport.patches = mIds.size();
+        mReport.joined = mPatches->joined();
         mReport.bytes = mLinks.size() * sizeof(Link) + mIds.size() * (3 * sizeof(Color) + 17)
             + light.size() * sizeof(RadianceCache::Light) + mPatches->bytes();
     }

@@ -166,6 +166,49 @@ TEST_CASE("No light passes a sheet without thickness", "[radiance_cache]")
     CHECK(at(3.0) == 0.0f);
 }
 
+TEST_CASE("Pieces that share a patch because they are too many keep their sides apart",
+    "[radiance_cache]")
+{
+    // The wall between a lit room and a dark one is pleated so that each strip is a piece. All else
+    // is black: what the pleats stand on lies on both sides of them.
+    Scene scene;
+    const int wall = addMaterial(scene, Color(0.8f), Color(0.0f), true);
+    const int lamp = addMaterial(scene, Color(0.0f), Color(5.0f), false);
+    const int black = addMaterial(scene, Color(0.0f), Color(0.0f), true);
+    addInwardBox(scene, black, Vec3d(0.0), Vec3d(4, 2, 2));
+    addQuad(scene, lamp, Vec3d(0.5, 1.99, 0.5), Vec3d(1, 0, 0), Vec3d(0, 0, 1));
+    constexpr int kStrips = 400;
+    for (int i = 0; i < kStrips * 16; ++i) {
+        const int strip = i / 16;
+        const double x = strip % 2 == 0 ? 0.004 : -0.004;
+        const double y = 2.0 * strip / kStrips, next = 2.0 * (strip + 1) / kStrips;
+        addQuad(scene, wall, Vec3d(2 - x / 2, y, 0.125 * (i % 16)), Vec3d(x, next - y, 0),
+            Vec3d(0, 0, 0.125));
+    }
+    const auto tracer = makeTracer(std::move(scene));
+    RadianceCacheOptions few;
+    few.patches = 1024;
+    few.maxPatches = 8192;
+    const auto cache = std::make_shared<const RadianceCache>(*tracer, few);
+    CHECK(cache->report().joined > 2000);
+    CHECK(cache->report().patches <= few.maxPatches);
+    ProbeOptions options;
+    options.rays = 4096;
+    options.contribution = Contribution::Indirect;
+    const auto at = [&](double x) {
+        const ProbeEstimator estimator(*tracer, options);
+        ProbeEstimator::Workspace workspace;
+        return estimator.radianceSh(Vec3d(x, 1, 1), 1, 1, workspace).value[0].x;
+    };
+    const float path = at(1.0);
+    CHECK(at(2.2) == 0.0f);
+    options.cache = cache;
+    INFO("path " << path << ", cached " << at(1.0));
+    CHECK(std::abs(at(1.0) - path) < 0.02f * path);
+    CHECK(at(2.2) == 0.0f);
+    CHECK(at(3.0) == 0.0f);
+}
+
 TEST_CASE("A solution has the same bits for any number of threads", "[radiance_cache][determinism]")
 {
     const auto tracer = makeTracer(room());

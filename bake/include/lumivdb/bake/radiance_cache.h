@@ -50,6 +50,7 @@ struct RadianceCacheOptions {
 struct RadianceCacheReport {
     std::size_t patches = 0; ///< that hold light
     std::size_t mixed = 0; ///< of those, with direct light looked for at each place
+    std::size_t joined = 0; ///< pieces that share a patch with others they do not touch
     std::uint64_t rays = 0; ///< shadow rays included
     std::size_t bytes = 0; ///< most held at once while solving
     int iterations = 0;
@@ -83,7 +84,8 @@ CacheBias measureCacheBias(const Tracer& tracer, const ProbeOptions& probe, cons
 class RadianceCache {
 public:
     /// Same inputs, same bits, for any number of threads. @throws Error(Usage), Error(Interrupted);
-    /// Error(Input) where the scene falls into more than maxPatches separate pieces.
+    /// Error(Input) where the scene falls into more than maxPatches separate pieces, those
+    /// that are small and lie together counted once.
     RadianceCache(
         const Tracer& tracer, const RadianceCacheOptions& options, Progress* progress = nullptr);
     ~RadianceCache();
