@@ -331,6 +331,36 @@ TEST_CASE("Scenes in too many pieces and bad options are refused", "[radiance_ca
     CHECK_THROWS_AS(RadianceCache(*tracer, options), Error);
 }
 
+TEST_CASE(
+    "A bake of a scene with no place for a cache is by path and says so", "[radiance_cache][bake]")
+{
+    // Hair: 1.2 million sides, all longer than a patch of full size.
+    Scene scene;
+    Mesh hair;
+    hair.material = addMaterial(scene, Color(0.5f), Color(0.0f), true);
+    for (std::uint32_t i = 0; i < 65536; ++i) {
+        const Vec3d root(0.01 * (i % 256), 0.01 * (i / 256), 0);
+        for (const Vec3d& p : {root, root + Vec3d(0, 0, 1), root + Vec3d(0.007, 0, 1)}) {
+            hair.positions.push_back(p);
+        }
+        hair.triangles.push_back({{3 * i, 3 * i + 1, 3 * i + 2}});
+    }
+    for (int i = 0; i < 9; ++i) {
+        hair.instances.push_back({1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 2.0 * i, 1});
+    }
+    scene.meshes.push_back(std::move(hair));
+    scene.environment = Environment::constant(Color(1.0f));
+    const auto tracer = makeTracer(std::move(scene));
+    BakeOptions options = bakeOptions(1, Vec3d(0.5), Vec3d(1.5), 16);
+    options.integrator = Integrator::Cached;
+    const BakeResult baked = bakeVolume(*tracer, options);
+    CHECK(baked.report.integrator == Integrator::Path);
+    CHECK(baked.volume.metadata().integrator == "path");
+    REQUIRE(baked.report.warnings.size() == 1);
+    INFO(baked.report.warnings[0]);
+    CHECK(baked.report.warnings[0].find("path integrator") != std::string::npos);
+}
+
 TEST_CASE("A cached bake says so, with its bias", "[radiance_cache][bake]")
 {
     const auto tracer = makeTracer(room());
