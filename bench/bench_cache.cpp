@@ -271,6 +271,7 @@ int run(int argc, char** argv)
     const Box3d box = s.bounds.isEmpty() ? scene->bounds() : s.bounds;
     const std::vector<Vec3d> points = freePoints(tracer, box, s.points);
     const RadianceCache* solved = nullptr;
+    s.cache.box = box;
     ProbeOptions cached;
     double solve = processorSeconds();
     {

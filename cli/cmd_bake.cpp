@@ -298,9 +298,9 @@ Json integratorJson(const BakeReport& baked)
     Json json = {{"name", name(baked.integrator)}};
     if (baked.cache.patches > 0) {
         const RadianceCacheReport& c = baked.cache;
-        json["cache"]
-            = {{"patches", c.patches}, {"mixed", c.mixed}, {"rays", c.rays}, {"bytes", c.bytes},
-                {"iterations", c.iterations}, {"residual", c.residual}, {"seconds", c.seconds}};
+        json["cache"] = {{"patches", c.patches}, {"mixed", c.mixed}, {"joined", c.joined},
+            {"rays", c.rays}, {"bytes", c.bytes}, {"iterations", c.iterations},
+            {"residual", c.residual}, {"seconds", c.seconds}};
     }
     if (baked.bias.points > 0) {
         const CacheBias& b = baked.bias;

@@ -29,8 +29,10 @@ public:
 private:
     void declareTracing(Arguments& arguments);
     void validate(const Arguments& arguments) const;
+    std::shared_ptr<const RadianceCache> solveCache(
+        const Tracer& tracer, const std::vector<Vec3d>& points, Progress& progress);
     std::vector<ProbeResult> probeAll(
-        const Tracer& tracer, const std::vector<Vec3d>& points, Progress& progress) const;
+        const Tracer& tracer, const std::vector<Vec3d>& points, Progress& progress);
     void print(const std::vector<Vec3d>& points, const std::vector<ProbeResult>& probed) const;
 
     CommonOptions mCommon;
@@ -141,17 +143,29 @@ void ProbeCommand::validate(const Arguments& arguments) const
     }
 }
 
+/// None where it brings nothing, or, with a warning, where the scene has no place for one.
+std::shared_ptr<const RadianceCache> ProbeCommand::solveCache(
+    const Tracer& tracer, const std::vector<Vec3d>& points, Progress& progress)
+{
+    if (mProbe.contribution == Contribution::Direct || mProbe.maxBounces == 0) return nullptr;
+    RadianceCacheOptions cache;
+    cache.maxBounces = mProbe.maxBounces;
+    cache.seed = mProbe.seed;
+    for (const Vec3d& p : points) cache.box.extendBy(p);
+    try {
+        return std::make_shared<const RadianceCache>(tracer, cache, &progress);
+    } catch (const Error& e) {
+        if (e.code() != ErrorCode::Input) throw;
+        mCommon.console.warn(std::string(e.what()) + " It was used.");
+        return nullptr;
+    }
+}
+
 std::vector<ProbeResult> ProbeCommand::probeAll(
-    const Tracer& tracer, const std::vector<Vec3d>& points, Progress& progress) const
+    const Tracer& tracer, const std::vector<Vec3d>& points, Progress& progress)
 {
     ProbeOptions probe = mProbe;
-    const bool reflected = probe.contribution != Contribution::Direct && probe.maxBounces != 0;
-    if (mIntegrator == Integrator::Cached && reflected) {
-        RadianceCacheOptions cache;
-        cache.maxBounces = probe.maxBounces;
-        cache.seed = probe.seed;
-        probe.cache = std::make_shared<const RadianceCache>(tracer, cache, &progress);
-    }
+    if (mIntegrator == Integrator::Cached) probe.cache = solveCache(tracer, points, progress);
     const ProbeEstimator estimator(tracer, probe);
     const Box3d box = tracer.scene().bounds();
     const double search = box.isEmpty() ? 0 : kSearch * box.size().length();

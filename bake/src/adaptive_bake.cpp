@@ -346,11 +346,14 @@ double AdaptiveBake::noise2() const
     return worst;
 }
 
-/// Lower, in proportion to how far interpolation alone has to go.
+/// Lower, in proportion to how far interpolation alone has to go: refinement takes away neither
+/// what the bands leave out, nor noise, nor a cache's bias.
 double AdaptiveBake::nextThreshold(double threshold) const
 {
     const AchievedError& a = mReport.achieved;
-    const double fixed2 = std::pow(mPlan.truncation, 2) + kInterpolatedNoise * noise2();
+    const double bias = mPlan.samples.probe.cache ? mReport.bias.rms : 0;
+    const double fixed2
+        = std::pow(mPlan.truncation, 2) + kInterpolatedNoise * noise2() + bias * bias;
     const double target2 = std::pow(mPlan.goal, 2);
     const double now = std::sqrt(std::max(1e-12, a.upper * a.upper - fixed2));
     const double wanted = std::sqrt(std::max(0.05 * target2, target2 - fixed2));

@@ -118,6 +118,7 @@ void solveCache(const Tracer& tracer, BakeOptions& options, BakeReport& report, 
         return;
     }
     RadianceCacheOptions cache;
+    cache.box = bakeBox(tracer, options);
     cache.maxBounces = probe.maxBounces;
     cache.seed = probe.seed;
     try {
@@ -146,10 +147,10 @@ double lowerBound(const CacheBias& bias)
 
 /// What is known of the cache's bias before a target is promised. Where noise leaves open on which
 /// side of the limit it is, more is traced.
-void judgeCache(const Tracer& tracer, BakeOptions& options, const Box3d& box, BakeReport& report,
-    Progress& progress)
+void judgeCache(const Tracer& tracer, BakeOptions& options, BakeReport& report, Progress& progress)
 {
     Seconds time(report.secondsVerify);
+    const Box3d box = bakeBox(tracer, options);
     const double limit = options.target.error / 2;
     CacheBiasOptions bias;
     for (bool open = true; open; bias.cachedRays *= 2, bias.pathRays *= 2) {
@@ -291,10 +292,7 @@ BakeResult bakeVolume(const Tracer& tracer, const BakeOptions& wanted, Progress*
     withThreads(options.threads, [&] {
         solveCache(tracer, options, report, talk);
         const bool cached = options.integrator == Integrator::Cached;
-        if (cached && options.target.error > 0) {
-            judgeCache(
-                tracer, options, options.bounds.value_or(tracer.scene().bounds()), report, talk);
-        }
+        if (cached && options.target.error > 0) judgeCache(tracer, options, report, talk);
         volume.emplace(bakeWithin(tracer, options, journal.get(), report, talk));
         if (options.integrator == Integrator::Cached && !(options.target.error > 0)) {
             measureBias(tracer, options, *volume, report, talk);

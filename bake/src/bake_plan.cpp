@@ -98,7 +98,20 @@ public:
         return mPlan;
     }
 
+    Box3d box()
+    {
+        chooseLattice();
+        return worldBox();
+    }
+
 private:
+    Box3d worldBox() const
+    {
+        const auto world
+            = [&](const Coord& c) { return Vec3d(c.x, c.y, c.z) * mPlan.samples.spacing; };
+        return {world(mPlan.box.lower), world(mPlan.box.upper)};
+    }
+
     bool hasTarget() const { return mOptions.target.error > 0; }
     void decide(const std::string& sentence) { mReport.decisions.push_back(sentence); }
 
@@ -160,10 +173,7 @@ private:
     {
         ProbeOptions probe = mOptions.probe;
         probe.rays = hasTarget() ? kTargetPilotRays : kPilotRays;
-        const double h = mPlan.samples.spacing;
-        const auto world = [&](const Coord& c) { return Vec3d(c.x, c.y, c.z) * h; };
-        const Pilot pilot = lookAhead(mTracer, probe,
-            Box3d(world(mPlan.box.lower), world(mPlan.box.upper)), kPilotPoints, progress);
+        const Pilot pilot = lookAhead(mTracer, probe, worldBox(), kPilotPoints, progress);
         mPlan.meanE = pilot.meanE;
         mPlan.noisePerRay = pilot.noisePerRay;
         mReport.rays += pilot.rays;
@@ -253,6 +263,12 @@ BakePlan planBake(
     const Tracer& tracer, const BakeOptions& options, BakeReport& report, Progress& progress)
 {
     return Planner(tracer, options, report).plan(progress);
+}
+
+Box3d bakeBox(const Tracer& tracer, const BakeOptions& options)
+{
+    BakeReport unread;
+    return Planner(tracer, options, unread).box();
 }
 
 } // namespace lumivdb

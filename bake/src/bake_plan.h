@@ -26,6 +26,10 @@ struct BakePlan {
 BakePlan planBake(
     const Tracer& tracer, const BakeOptions& options, BakeReport& report, Progress& progress);
 
+/// The box that such a bake will cover (world), known before anything is traced.
+/// @throws Error(Usage) as planBake().
+Box3d bakeBox(const Tracer& tracer, const BakeOptions& options);
+
 /// %g text of a number for sentences.
 std::string shortText(double v);
 /// A relative quantity as percent.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <lumivdb/bake/radiance_cache.h>
 
+#include "cache_views.h"
 #include "direct_light.h"
 #include "directions.h"
 #include "path.h"
@@ -33,14 +34,11 @@ constexpr int kRounds = 2;
 constexpr std::uint32_t kEnough = 4;
 /// Patches are not divided for contrast below this share of the size they began with.
 constexpr float kSmallest = 1 / 8.0f;
+/// As RadianceCacheOptions::nearness, of rays from the probes' box.
+constexpr double kViewNearness = 1 / 8.0;
+/// A patch that one of them meets sends as many rays as this share of a patch of full size.
+constexpr double kViewShare = 1 / 4.0;
 constexpr int kMaxIterations = 10000;
-
-/// A ray that met a patch longer than the allowed share of its length.
-struct Near {
-    std::uint32_t triangle;
-    float u, v, distance;
-    bool behind;
-};
 
 /// A patch's light comes from @a patch, times albedo in 1/65535.
 struct Link {
@@ -73,8 +71,8 @@ struct Worker {
 } // namespace
 
 struct RadianceCache::Impl {
-    explicit Impl(const Tracer::Impl& impl, double size)
-        : patches(impl, size)
+    Impl(const Tracer::Impl& impl, double size, std::size_t most)
+        : patches(impl, size, most)
     {
     }
     SurfacePatches patches;
@@ -89,8 +87,11 @@ public:
         , mReport(cache.mReport)
         , mProgress(progress)
     {
-        cache.mImpl = std::make_unique<RadianceCache::Impl>(mTracer, startSize());
+        cache.mImpl
+            = std::make_unique<RadianceCache::Impl>(mTracer, startSize(), mOptions.maxPatches / 2);
         mPatches = &cache.mImpl->patches;
+        limitPieces(undivided().size());
+        lookFromBox();
         divide();
         gather();
         iterate();
@@ -202,20 +203,47 @@ private:
         return d;
     }
 
+    /// Divides what the probes' box sees much of. As many rays as there are patches of full size:
+    /// where the box sees all surfaces alike, each has one or so and nothing is cut.
+    void lookFromBox()
+    {
+        const Box3d& box = mOptions.box.isEmpty() ? mTracer.bounds : mOptions.box;
+        mViews = lookAround(mTracer, box, mOptions.patches, mOptions.seed);
+        mReport.rays += mOptions.patches;
+        std::vector<SeenPlace> near = mViews;
+        divideNear(near, kViewNearness);
+        countViews();
+    }
+
+    void countViews()
+    {
+        mViewsOf.assign(mPatches->size(), 0);
+        for (const SeenPlace& view : mViews) {
+            const Id id = patchOf(view);
+            if (id != SurfacePatches::kNone) ++mViewsOf[id];
+        }
+    }
+
+    /// How much a patch matters, in patches of full size: in proportion to its area, as what other
+    /// surfaces see of it is, or to what the box sees.
+    double share(Id id) const
+    {
+        return std::max(mPatches->area(id) / (mSize * mSize), kViewShare * mViewsOf[id]);
+    }
+
     void divide()
     {
         std::vector<Id> fresh = undivided();
-        limitPieces(fresh.size());
         for (int round = 0; round < kRounds && !fresh.empty() && !mReport.full; ++round) {
             std::vector<DirectLight> direct(fresh.size());
-            std::vector<std::vector<Near>> near(fresh.size());
+            std::vector<std::vector<SeenPlace>> near(fresh.size());
             const auto scouts = [&](std::size_t i) { return scoutsOf(fresh[i]); };
             sample(fresh, scouts, [&](std::size_t i, Worker& w, int at, auto seen, auto end) {
                 direct[i] = directOf(fresh[i], at, scouts(i), w);
                 for (; seen != end; ++seen) {
                     const SurfacePoint& s = seen->surface;
-                    const Near n{s.triangle, s.u, s.v, seen->distance, s.behind};
-                    if (isNear(n)) near[i].push_back(n);
+                    const SeenPlace n{s.triangle, s.u, s.v, seen->distance, s.behind};
+                    if (isNear(n, mOptions.nearness)) near[i].push_back(n);
                 }
             });
             if (round == 0) meanDirect(fresh, direct);
@@ -223,11 +251,12 @@ private:
             mMade.clear();
             const auto first = static_cast<Id>(mPatches->size());
             for (std::size_t i = 0; i < fresh.size(); ++i) {
-                const bool large
-                    = mPatches->extent(fresh[i]) > kSmallest * static_cast<float>(mSize);
+                const bool large = mViewsOf[fresh[i]] > 0
+                    || mPatches->extent(fresh[i]) > kSmallest * static_cast<float>(mSize);
                 if (large && direct[i].changes(mSceneMean)) cut(fresh[i]);
             }
-            divideNear();
+            divideNear(mNear, mOptions.nearness);
+            countViews();
             std::vector<Id> next = mMade;
             const std::vector<Id> added = undivided(first);
             next.insert(next.end(), added.begin(), added.end());
@@ -238,7 +267,7 @@ private:
                 if (!mPatches->divided(id)) fresh.push_back(id);
             }
         }
-        mNear = std::vector<Near>();
+        mNear = std::vector<SeenPlace>();
     }
 
     void limitPieces(std::size_t pieces) const
@@ -247,7 +276,8 @@ private:
         throw Error(ErrorCode::Input,
             "The radiance cache would need " + std::to_string(pieces)
                 + " patches to begin with, the limit is " + std::to_string(mOptions.maxPatches)
-                + ": the scene's triangles do not hang together. Use the path integrator.");
+                + ": the scene's triangles do not hang together and are not small. Use the path "
+                  "integrator.");
     }
 
     void meanDirect(const std::vector<Id>& ids, const std::vector<DirectLight>& direct)
@@ -260,25 +290,25 @@ private:
         mSceneMean = area > 0 ? sum / area : 0;
     }
 
-    Id patchOf(const Near& n) const { return mPatches->find(n.triangle, n.u, n.v, n.behind); }
-    bool isNear(const Near& n) const
+    Id patchOf(const SeenPlace& n) const { return mPatches->find(n.triangle, n.u, n.v, n.behind); }
+    bool isNear(const SeenPlace& n, double nearness) const
     {
         const Id id = patchOf(n);
         return id != SurfacePatches::kNone
-            && mPatches->extent(id) > mOptions.nearness * static_cast<double>(n.distance);
+            && mPatches->extent(id) > nearness * static_cast<double>(n.distance);
     }
 
-    /// Divides what enough rays come near, level by level.
-    void divideNear()
+    /// Divides what enough of @a rays come near, level by level; drops those that do not.
+    void divideNear(std::vector<SeenPlace>& rays, double nearness)
     {
         std::vector<std::uint32_t> count;
         for (bool more = true; more && !mReport.full;) {
             // Patches only shrink: a ray that is no longer near never is again.
-            mNear.erase(std::remove_if(
-                            mNear.begin(), mNear.end(), [&](const Near& n) { return !isNear(n); }),
-                mNear.end());
+            rays.erase(std::remove_if(rays.begin(), rays.end(),
+                           [&](const SeenPlace& n) { return !isNear(n, nearness); }),
+                rays.end());
             count.assign(mPatches->size(), 0);
-            for (const Near& n : mNear) ++count[patchOf(n)];
+            for (const SeenPlace& n : rays) ++count[patchOf(n)];
             more = false;
             for (Id id = 0; id < count.size(); ++id) {
                 if (count[id] >= kEnough) more = cut(id) || more;
@@ -338,17 +368,15 @@ private:
         });
     }
 
-    /// In proportion to the area: what is seen of a patch is.
     int scoutsOf(Id id) const
     {
-        const double share = mPatches->area(id) / (mSize * mSize);
-        return std::clamp(static_cast<int>(std::ceil(share * kScouts)), kFewScouts, kScouts);
+        return std::clamp(
+            static_cast<int>(std::ceil(std::min(1.0, share(id)) * kScouts)), kFewScouts, kScouts);
     }
     int raysOf(Id id) const
     {
-        const double share = mPatches->area(id) / (mSize * mSize);
-        return std::clamp(static_cast<int>(std::ceil(share * mOptions.rays)),
-            std::min(kLeast, mOptions.rays), mOptions.rays);
+        return std::clamp(static_cast<int>(std::ceil(std::min(1.0, share(id)) * mOptions.rays)),
+            kLeast, mOptions.rays);
     }
 
     /// T E of one row.
@@ -423,6 +451,7 @@ private:
             mReport.mixed += mixed ? 1 : 0;
         }
         mReport.patches = mIds.size();
+        mReport.joined = mPatches->joined();
         mReport.bytes = mLinks.size() * sizeof(Link) + mIds.size() * (3 * sizeof(Color) + 17)
             + light.size() * sizeof(RadianceCache::Light) + mPatches->bytes();
     }
@@ -433,7 +462,9 @@ private:
     Progress* mProgress;
     SurfacePatches* mPatches = nullptr;
     double mSize = 0, mSceneMean = 0;
-    std::vector<Near> mNear;
+    std::vector<SeenPlace> mViews; ///< from the probes' box
+    std::vector<std::uint32_t> mViewsOf; ///< their number, by patch
+    std::vector<SeenPlace> mNear; ///< what scouts met near
     std::vector<Id> mMade; ///< divided in this round
     std::vector<Id> mIds; ///< by row
     std::vector<std::uint32_t> mRow; ///< by patch
@@ -460,6 +491,10 @@ void RadianceCacheOptions::validate() const
     check(rays >= 8 && rays <= kBatch, "rays", rays, "8 to 256");
     check(nearness > 0, "nearness", nearness, "a positive number");
     check(residual > 0, "residual", residual, "a positive number");
+    for (int a = 0; a < 3; ++a) {
+        check(box.isEmpty() || std::isfinite(box.max[a] - box.min[a]), "box",
+            box.max[a] - box.min[a], "a finite one");
+    }
 }
 
 RadianceCache::RadianceCache(

@@ -9,6 +9,7 @@
 #include <cstring>
 #include <limits>
 #include <numeric>
+#include <tuple>
 
 namespace lumivdb {
 
@@ -16,6 +17,8 @@ namespace {
 
 /// Members of a group look the same way: cosine of their normal with the first member's.
 constexpr float kGroupCosine = 0.9f;
+/// First cells that groups which do not hang together are joined in, in sizes of a patch.
+constexpr double kFinestCell = 1 / 32.0;
 
 Corners cornersOf(const Tracer::Impl& impl, std::uint32_t element)
 {
@@ -71,15 +74,50 @@ struct Growing {
     Bounds bounds;
     Vec3f normal;
     const Tracer::Impl::Instance* instance;
+    bool behind;
 };
+
+/// The same number for groups that lie in the same cell and face the same octant from the same side
+/// of their triangles; one of its own (@a index) for a group larger than a cell.
+std::uint64_t cellOf(const Growing& g, std::uint64_t index, float cell)
+{
+    if (!(g.bounds.size() <= cell)) return mixBits(~index);
+    std::uint64_t key = g.behind ? 1 : 0;
+    const Vec3f middle = (g.bounds.low + g.bounds.high) * 0.5f;
+    for (int a = 0; a < 3; ++a) {
+        const auto place = static_cast<std::int64_t>(std::floor(middle[a] / cell));
+        key = hashCombine(key, static_cast<std::uint64_t>(place));
+        key = hashCombine(key, (g.behind ? -g.normal[a] : g.normal[a]) < 0 ? 1 : 0);
+    }
+    return key;
+}
+
+/// For each group the number of the one it joins, in the order of their first; and how many remain.
+std::pair<std::vector<std::uint32_t>, std::size_t> joinByCell(
+    const std::vector<Growing>& groups, float cell)
+{
+    std::vector<std::pair<std::uint64_t, std::uint32_t>> keys(groups.size());
+    for (std::uint32_t g = 0; g < groups.size(); ++g) keys[g] = {cellOf(groups[g], g, cell), g};
+    std::sort(keys.begin(), keys.end());
+    std::vector<std::uint32_t> joined(groups.size());
+    for (std::size_t i = 0; i < keys.size(); ++i) {
+        const bool same = i > 0 && keys[i].first == keys[i - 1].first;
+        joined[keys[i].second] = same ? joined[keys[i - 1].second] : keys[i].second;
+    }
+    std::uint32_t count = 0;
+    for (std::uint32_t g = 0; g < joined.size(); ++g) {
+        joined[g] = joined[g] == g ? count++ : joined[joined[g]];
+    }
+    return {std::move(joined), count};
+}
 
 } // namespace
 
-SurfacePatches::SurfacePatches(const Tracer::Impl& impl, double size)
+SurfacePatches::SurfacePatches(const Tracer::Impl& impl, double size, std::size_t most)
     : mImpl(impl)
 {
     mRoot.assign(2 * static_cast<std::size_t>(impl.triangleCount), kNone);
-    group(size);
+    group(size, most);
     // Index 0 means "undivided", and no part ever has it: parts come after their whole.
     for (Id id = 0; id < mChild.size(); ++id) {
         if (mPatches[id].count == 1 && extent(id) > 3 * size) divide(id);
@@ -88,7 +126,9 @@ SurfacePatches::SurfacePatches(const Tracer::Impl& impl, double size)
 
 /// Joins each small triangle to a group that holds one of its vertices, faces the same way and
 /// stays small enough: one pass in the order of the file, in which neighbours follow each other.
-void SurfacePatches::group(double size)
+/// Where that leaves more than @a most, those that are smaller than a cell and share one are
+/// joined, in cells no larger than they must be.
+void SurfacePatches::group(double size, std::size_t most)
 {
     std::vector<Growing> groups;
     std::vector<std::uint32_t> groupOf(mRoot.size(), kNone);
@@ -115,13 +155,28 @@ void SurfacePatches::group(double size)
         }
         if (chosen == kNone) {
             chosen = static_cast<std::uint32_t>(groups.size());
-            groups.push_back({{}, normal, instance});
+            groups.push_back({{}, normal, instance, behind});
         }
         groups[chosen].bounds.add(c);
         groupOf[element] = chosen;
         for (int k = 0; k < 3 && small; ++k) last[behind][place[triangle.vertex[k]]] = chosen;
     }
-    std::vector<std::uint32_t> start(groups.size() + 1, 0);
+    std::size_t count = groups.size();
+    std::vector<std::uint32_t> joined;
+    for (double cell = kFinestCell * size; count > most && cell <= size; cell *= 2) {
+        std::tie(joined, count) = joinByCell(groups, static_cast<float>(cell));
+    }
+    for (std::uint32_t& g : groupOf) {
+        if (g != kNone && !joined.empty()) g = joined[g];
+    }
+    mJoined = groups.size() - count;
+    layOut(groupOf, count);
+}
+
+/// Makes a patch of each group.
+void SurfacePatches::layOut(const std::vector<std::uint32_t>& groupOf, std::size_t groups)
+{
+    std::vector<std::uint32_t> start(groups + 1, 0);
     for (const std::uint32_t g : groupOf) {
         if (g != kNone) ++start[g + 1];
     }
@@ -133,7 +188,7 @@ void SurfacePatches::group(double size)
         if (groupOf[element] != kNone) mMembers[next[groupOf[element]]++] = element;
     }
     sumAreas(0, start.back());
-    for (std::size_t g = 0; g < groups.size(); ++g) {
+    for (std::size_t g = 0; g < groups; ++g) {
         const std::uint32_t count = start[g + 1] - start[g];
         addPatch(start[g], count, 0, 0, count == 1 ? 1.0f : 0.0f);
     }

@@ -6,8 +6,12 @@
 ///
 /// A patch is one *side* of a part of a triangle, or of some small triangles that hang together and
 /// look the same way: never both sides of a sheet, never two sheets that do not touch, so light
-/// cannot leak through a wall however thin. Large triangles are cut into four over and over (by
-/// their edges' midpoints); groups of small ones into two along their longest side.
+/// cannot leak through a wall however thin. Only where a scene falls into more pieces than there
+/// may be patches (leaves, gravel, surfaces that bend at every edge) do pieces that do not touch
+/// join: small ones in the same cell of a grid that face the same octant, whose sheets may then lie
+/// up to a cell apart, one behind the other, but never back to back. Large triangles are cut into
+/// four over and over (by their edges' midpoints); groups of small ones into two along their
+/// longest side.
 
 #include "tracer_impl.h"
 
@@ -21,8 +25,9 @@ public:
     using Id = std::uint32_t;
     static constexpr Id kNone = 0xffffffffu;
 
-    /// Patches of about @a size (local units) and below.
-    SurfacePatches(const Tracer::Impl& impl, double size);
+    /// Patches of about @a size (local units) and below, of about @a most groups and large
+    /// triangles if they can be had with cells up to that size.
+    SurfacePatches(const Tracer::Impl& impl, double size, std::size_t most);
 
     /// The undivided patch at barycentrics (u, v) of a triangle's side; kNone where it has none
     /// (the black back of a single-sided triangle, one without area).
@@ -35,6 +40,7 @@ public:
     }
 
     std::size_t size() const { return mChild.size(); } ///< divided ones included
+    std::size_t joined() const { return mJoined; } ///< pieces that lost a patch of their own
     bool divided(Id id) const { return mChild[id] != 0; }
     /// Longest side: of its triangle, or of its members' box.
     float extent(Id id) const { return mPatches[id].extent; }
@@ -73,13 +79,15 @@ private:
         v = 1 - v;
         return 3;
     }
-    void group(double size);
+    void group(double size, std::size_t most);
+    void layOut(const std::vector<std::uint32_t>& groupOf, std::size_t groups);
     void addPatch(std::uint32_t first, std::uint32_t count, float u, float v, float scale);
     void measure(Patch& patch) const;
     void sumAreas(std::uint32_t first, std::uint32_t count);
     bool halve(Id id);
 
     const Tracer::Impl& mImpl;
+    std::size_t mJoined = 0;
     std::vector<Patch> mPatches;
     std::vector<Id> mChild; ///< first of the parts, 0: undivided
     std::vector<Id> mRoot; ///< by element

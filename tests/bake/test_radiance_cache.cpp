@@ -2,6 +2,7 @@
 //
 // The cached integrator against closed forms and against path tracing. Its noise is common to all
 // probes of one solution, so tolerances come from the spread over solutions with several seeds.
+#include "../../bake/src/tracer_impl.h"
 #include "bake_makers.h"
 
 #include <lumivdb/bake/radiance_cache.h>
@@ -98,6 +99,55 @@ Scene sunlit()
     return scene;
 }
 
+/// Three boxes in the room, of one mesh placed by transforms, one of which mirrors.
+Scene furnished()
+{
+    Scene scene = room(), box;
+    const int wood = addMaterial(scene, Color(0.7f, 0.3f, 0.2f), Color(0.0f), true);
+    addInwardBox(box, wood, Vec3d(-0.3), Vec3d(0.6, 0.4, 0.5));
+    Mesh joined;
+    joined.material = wood;
+    for (const Mesh& quad : box.meshes) {
+        const auto base = static_cast<std::uint32_t>(joined.positions.size());
+        for (const Vec3d& p : quad.positions) joined.positions.push_back(p);
+        for (const auto& t : quad.triangles) {
+            joined.triangles.push_back({{base + t[0], base + t[1], base + t[2]}});
+        }
+    }
+    for (const double turn : {0.3, 1.2, 2.5}) {
+        const double c = std::cos(turn), s = std::sin(turn), mirror = turn < 1 ? -1 : 1;
+        joined.instances.push_back(
+            {c, 0, s, 0, 0, 1, 0, 0, -s * mirror, 0, c * mirror, 0, 0.5 + turn, 0.4, 1, 1});
+    }
+    scene.meshes.push_back(std::move(joined));
+    return scene;
+}
+
+/// A wall on a chequered ground under a sky with a bright side.
+Scene garden()
+{
+    Scene scene;
+    const int wall = addMaterial(scene, Color(0.7f), Color(0.0f), true);
+    const int ground = addMaterial(scene, Color(1.0f), Color(0.0f), true);
+    scene.textures.resize(1);
+    Texture& chequer = scene.textures[0];
+    chequer.width = chequer.height = 2;
+    chequer.nearest = true;
+    for (const float a : {0.9f, 0.1f, 0.1f, 0.9f}) {
+        for (const float x : {a, a, a, 1.0f}) chequer.pixels.push_back(x);
+    }
+    scene.materials[1].baseColorTexture.texture = 0;
+    addQuad(scene, ground, Vec3d(-4, 0, -4), Vec3d(0, 0, 8), Vec3d(8, 0, 0));
+    scene.meshes.back().uv[0] = {{0, 0}, {0, 3}, {3, 3}, {3, 0}};
+    addQuad(scene, wall, Vec3d(-2, 0, -1), Vec3d(4, 0, 0), Vec3d(0, 2, 0));
+    std::vector<Color> sky(16 * 8, Color(0.5f));
+    for (std::size_t i = 16; i < 64; ++i) {
+        if (i % 16 < 5) sky[i] = Color(6.0f);
+    }
+    scene.environment = Environment::fromPixels(16, 8, sky, {});
+    return scene;
+}
+
 /// What the cache may be off by besides its noise: light is constant over a patch.
 constexpr double kPatchBias = 0.003;
 
@@ -145,6 +195,35 @@ TEST_CASE("Shadows of lights without size are found in place", "[radiance_cache]
     CHECK(RadianceCache(*tracer, options).report().mixed > 0);
 }
 
+TEST_CASE(
+    "Meshes that are kept once have the light of expanded ones", "[radiance_cache][instances]")
+{
+    const auto scene = std::make_shared<Scene>(furnished());
+    TracerOptions none;
+    none.expandUpTo = 0;
+    const Tracer flat(scene), instanced(scene, nullptr, none);
+    REQUIRE(flat.impl().instances.empty());
+    REQUIRE(instanced.impl().instances.size() == 3);
+    for (const Vec3d& p : {Vec3d(1.2, 1, 0.6), Vec3d(2.4, 0.7, 1.6)}) {
+        const Estimate a = cachedIrradiance(flat, p, {0, -1, 0}, -1, 4096);
+        const Estimate b = cachedIrradiance(instanced, p, {0, -1, 0}, -1, 4096);
+        const Estimate path = pathIrradiance(flat, p, {0, -1, 0}, -1);
+        INFO("expanded " << a.mean << " ± " << a.error << ", kept once " << b.mean << " ± "
+                         << b.error << ", path " << path.mean << " ± " << path.error);
+        CHECK(std::abs(a.mean - b.mean) < 4 * std::hypot(a.error, b.error));
+        CHECK(std::abs(b.mean - path.mean)
+            < 4 * std::hypot(b.error, path.error) + kPatchBias * path.mean);
+    }
+}
+
+TEST_CASE("Textures and an environment are seen through the cache", "[radiance_cache]")
+{
+    const auto tracer = makeTracer(garden());
+    compare(*tracer, {0.3, 0.7, 0.6}, {0, -1, 0}, -1);
+    compare(*tracer, {-0.5, 0.4, -1.8}, {0, 0, 1}, -1);
+    compare(*tracer, {1, 1, 1.5}, {0, 0, -1}, 1);
+}
+
 TEST_CASE("No light passes a sheet without thickness", "[radiance_cache]")
 {
     Scene scene;
@@ -163,6 +242,49 @@ TEST_CASE("No light passes a sheet without thickness", "[radiance_cache]")
     };
     CHECK(at(1.0) > 0.1f);
     CHECK(at(2.01) == 0.0f);
+    CHECK(at(3.0) == 0.0f);
+}
+
+TEST_CASE("Pieces that share a patch because they are too many keep their sides apart",
+    "[radiance_cache]")
+{
+    // The wall between a lit room and a dark one is pleated so that each strip is a piece. All else
+    // is black: what the pleats stand on lies on both sides of them.
+    Scene scene;
+    const int wall = addMaterial(scene, Color(0.8f), Color(0.0f), true);
+    const int lamp = addMaterial(scene, Color(0.0f), Color(5.0f), false);
+    const int black = addMaterial(scene, Color(0.0f), Color(0.0f), true);
+    addInwardBox(scene, black, Vec3d(0.0), Vec3d(4, 2, 2));
+    addQuad(scene, lamp, Vec3d(0.5, 1.99, 0.5), Vec3d(1, 0, 0), Vec3d(0, 0, 1));
+    constexpr int kStrips = 400;
+    for (int i = 0; i < kStrips * 16; ++i) {
+        const int strip = i / 16;
+        const double x = strip % 2 == 0 ? 0.004 : -0.004;
+        const double y = 2.0 * strip / kStrips, next = 2.0 * (strip + 1) / kStrips;
+        addQuad(scene, wall, Vec3d(2 - x / 2, y, 0.125 * (i % 16)), Vec3d(x, next - y, 0),
+            Vec3d(0, 0, 0.125));
+    }
+    const auto tracer = makeTracer(std::move(scene));
+    RadianceCacheOptions few;
+    few.patches = 1024;
+    few.maxPatches = 8192;
+    const auto cache = std::make_shared<const RadianceCache>(*tracer, few);
+    CHECK(cache->report().joined > 2000);
+    CHECK(cache->report().patches <= few.maxPatches);
+    ProbeOptions options;
+    options.rays = 4096;
+    options.contribution = Contribution::Indirect;
+    const auto at = [&](double x) {
+        const ProbeEstimator estimator(*tracer, options);
+        ProbeEstimator::Workspace workspace;
+        return estimator.radianceSh(Vec3d(x, 1, 1), 1, 1, workspace).value[0].x;
+    };
+    const float path = at(1.0);
+    CHECK(at(2.2) == 0.0f);
+    options.cache = cache;
+    INFO("path " << path << ", cached " << at(1.0));
+    CHECK(std::abs(at(1.0) - path) < 0.02f * path);
+    CHECK(at(2.2) == 0.0f);
     CHECK(at(3.0) == 0.0f);
 }
 
@@ -209,6 +331,36 @@ TEST_CASE("Scenes in too many pieces and bad options are refused", "[radiance_ca
     CHECK_THROWS_AS(RadianceCache(*tracer, options), Error);
 }
 
+TEST_CASE(
+    "A bake of a scene with no place for a cache is by path and says so", "[radiance_cache][bake]")
+{
+    // Hair: 1.2 million sides, all longer than a patch of full size.
+    Scene scene;
+    Mesh hair;
+    hair.material = addMaterial(scene, Color(0.5f), Color(0.0f), true);
+    for (std::uint32_t i = 0; i < 65536; ++i) {
+        const Vec3d root(0.01 * (i % 256), 0.01 * (i / 256), 0);
+        for (const Vec3d& p : {root, root + Vec3d(0, 0, 1), root + Vec3d(0.007, 0, 1)}) {
+            hair.positions.push_back(p);
+        }
+        hair.triangles.push_back({{3 * i, 3 * i + 1, 3 * i + 2}});
+    }
+    for (int i = 0; i < 9; ++i) {
+        hair.instances.push_back({1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 2.0 * i, 1});
+    }
+    scene.meshes.push_back(std::move(hair));
+    scene.environment = Environment::constant(Color(1.0f));
+    const auto tracer = makeTracer(std::move(scene));
+    BakeOptions options = bakeOptions(1, Vec3d(0.5), Vec3d(1.5), 16);
+    options.integrator = Integrator::Cached;
+    const BakeResult baked = bakeVolume(*tracer, options);
+    CHECK(baked.report.integrator == Integrator::Path);
+    CHECK(baked.volume.metadata().integrator == "path");
+    REQUIRE(baked.report.warnings.size() == 1);
+    INFO(baked.report.warnings[0]);
+    CHECK(baked.report.warnings[0].find("path integrator") != std::string::npos);
+}
+
 TEST_CASE("A cached bake says so, with its bias", "[radiance_cache][bake]")
 {
     const auto tracer = makeTracer(room());
@@ -252,6 +404,36 @@ TEST_CASE("A target too tight for the cache falls back to path", "[radiance_cach
     CHECK_FALSE(baked.report.achieved.met);
 }
 
+TEST_CASE(
+    "A target missed by no more than the bias is baked again by path", "[radiance_cache][bake]")
+{
+    // One band leaves out what it does, whatever the target: samples and rays are all given.
+    const auto tracer = makeTracer(sunlit());
+    BakeOptions options = bakeOptions(1, Vec3d(-1.5, 0.2, -1.5), Vec3d(1.5, 2.2, 1.5), 256);
+    options.integrator = Integrator::Cached;
+    options.probe.contribution = Contribution::Indirect;
+    options.bands = 1;
+    options.levels = 1;
+    options.target.maxSamples = 1;
+    options.target.chooseRays = options.target.chooseGradients = false;
+    options.target.error = 0.4;
+    const BakeReport first = bakeVolume(*tracer, options).report;
+    const double upper = first.achieved.upper, bias = first.bias.upper;
+    INFO("error up to " << upper << ", bias up to " << bias);
+    REQUIRE(first.integrator == Integrator::Cached);
+    REQUIRE(bias > 0);
+
+    options.target.error = std::sqrt(upper * upper - 0.5 * bias * bias);
+    const BakeReport missed = bakeVolume(*tracer, options).report;
+    for (const std::string& decision : missed.decisions) UNSCOPED_INFO(decision);
+    CHECK(missed.integrator == Integrator::Path);
+    CHECK(std::any_of(missed.decisions.begin(), missed.decisions.end(),
+        [](const std::string& d) { return d.find("path after all") != std::string::npos; }));
+
+    options.target.error = std::sqrt(upper * upper - 2 * bias * bias); // path would miss it too
+    CHECK(bakeVolume(*tracer, options).report.integrator == Integrator::Cached);
+}
+
 TEST_CASE("The bias that is measured is the light that a cache lacks", "[radiance_cache]")
 {
     // A cache of one bounce against all of them: 1 + 1/2 of 2 in a furnace of albedo 1/2.
@@ -269,6 +451,26 @@ TEST_CASE("The bias that is measured is the light that a cache lacks", "[radianc
     CHECK(std::abs(bias.mean + 0.25) < 4 * bias.meanStderr + 1e-4);
     CHECK(bias.upper > 0.25);
     CHECK(2 * bias.rms - bias.upper < 0.25);
+}
+
+TEST_CASE("A small room in a wide plain is cut as finely as one by itself", "[radiance_cache]")
+{
+    Scene scene = room();
+    const int ground = addMaterial(scene, Color(0.4f), Color(0.0f), false);
+    addQuad(scene, ground, Vec3d(-5e4, -1, -5e4), Vec3d(0, 0, 1e5), Vec3d(1e5, 0, 0));
+    Light sun;
+    sun.type = LightType::Directional;
+    sun.direction = Vec3d(-0.3, -1, 0.5).normalized();
+    sun.intensity = Color(10.0f);
+    scene.lights.push_back(sun);
+    const auto tracer = makeTracer(std::move(scene));
+    BakeOptions options = bakeOptions(1, Vec3d(0.5), Vec3d(3.5, 2.5, 3.5), 64);
+    options.integrator = Integrator::Cached;
+    const BakeReport report = bakeVolume(*tracer, options).report;
+    INFO("rms " << report.bias.rms << ", at most " << report.bias.upper);
+    CHECK(report.bias.points > 32);
+    CHECK(report.bias.upper < 0.02);
+    CHECK(report.cache.patches < 50000);
 }
 
 TEST_CASE("Noise of paths is no error of a cached bake", "[radiance_cache]")

@@ -13,10 +13,11 @@
 /// rays: Cohen & Wallace, "Radiosity and Realistic Image Synthesis", 1993, ch. 4–5), which is
 /// iterated to a residual without tracing again: any albedo below 1 converges.
 ///
-/// Patches are divided where rays come near them (larger than a share of the ray's length: corners,
-/// small rooms in large scenes) and where direct light changes across them. Where it still changes
-/// in the smallest ones (edges of shadows and of sunlight), the cache keeps reflected light alone
-/// and probes look for direct light at each place they see, as a path would.
+/// Patches begin with a size in proportion to the scene's area. They are divided where the probes'
+/// box sees much of them (a small room in a wide plain), where rays come near them (larger than a
+/// share of the ray's length: corners) and where direct light changes across them. Where it still
+/// changes in the smallest ones (edges of shadows and of sunlight), the cache keeps reflected light
+/// alone and probes look for direct light at each place they see, as a path would.
 ///
 /// Biased: light is constant over a patch, and the noise of the solution is common to all probes.
 /// measureCacheBias() tells how much.
@@ -36,6 +37,9 @@ struct RadianceCacheOptions {
     std::size_t maxPatches = std::size_t{1} << 20; ///< dividing stops there; about 300 bytes each
     int rays = 128; ///< of a patch of that size; smaller ones send fewer, 8 at least
     double nearness = 0.5; ///< patches are divided where longer than this share of a ray to them
+    /// Where probes will look from, world: what is seen from there is cut finely, in proportion to
+    /// how much is seen of it, however small a part of the scene it is. Empty: the scene's bounds.
+    Box3d box;
     /// Of the solution: the largest |E − D − TE| / E of all patches, so that a small room counts
     /// as much as the sunlit plain around it.
     double residual = 3e-4;
@@ -46,6 +50,7 @@ struct RadianceCacheOptions {
 struct RadianceCacheReport {
     std::size_t patches = 0; ///< that hold light
     std::size_t mixed = 0; ///< of those, with direct light looked for at each place
+    std::size_t joined = 0; ///< pieces that share a patch with others they do not touch
     std::uint64_t rays = 0; ///< shadow rays included
     std::size_t bytes = 0; ///< most held at once while solving
     int iterations = 0;
@@ -79,7 +84,8 @@ CacheBias measureCacheBias(const Tracer& tracer, const ProbeOptions& probe, cons
 class RadianceCache {
 public:
     /// Same inputs, same bits, for any number of threads. @throws Error(Usage), Error(Interrupted);
-    /// Error(Input) where the scene falls into more than maxPatches separate pieces.
+    /// Error(Input) where the scene falls into more than maxPatches separate pieces, those
+    /// that are small and lie together counted once.
     RadianceCache(
         const Tracer& tracer, const RadianceCacheOptions& options, Progress* progress = nullptr);
     ~RadianceCache();
