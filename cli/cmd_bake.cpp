@@ -374,7 +374,7 @@ void BakeCommand::summarise(const Seconds& seconds) const
             + humanSeconds(seconds.write));
 }
 
-void BakeCommand::written() { removeJournal(mBake.journal); }
+void BakeCommand::written() { removeJournal(*mResult); }
 
 std::string BakeCommand::afterError(ErrorCode code) const
 {

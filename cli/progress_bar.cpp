@@ -5,7 +5,10 @@
 #include "numbers.h"
 
 #include <algorithm>
+#include <cmath>
 #include <cstdio>
+#include <limits>
+#include <utility>
 
 #include <sys/ioctl.h>
 #include <unistd.h>
@@ -56,8 +59,18 @@ std::string progressText(double fraction, double elapsedSeconds, int barWidth)
     return text;
 }
 
-ProgressBar::ProgressBar(ProgressStyle style)
+namespace {
+
+double secondsSince(std::chrono::steady_clock::time_point start)
+{
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+}
+
+} // namespace
+
+ProgressBar::ProgressBar(ProgressStyle style, Warn warn)
     : mStyle(style)
+    , mWarn(std::move(warn))
 {
 }
 
@@ -91,8 +104,21 @@ void ProgressBar::advance(std::uint64_t steps)
         mLastOutput = elapsed;
         drawBar();
     } else if (dueForLine(elapsed)) {
-        talk(mStage + ": " + progressText(fraction(), elapsed, 0) + "\n");
+        talk(mStage + ": " + text(0) + "\n");
     }
+}
+
+void ProgressBar::expect(double seconds)
+{
+    const std::lock_guard<std::mutex> lock(mMutex);
+    mEnd = secondsSince(mWholeStart) + seconds;
+}
+
+void ProgressBar::warn(const std::string& sentence)
+{
+    const std::lock_guard<std::mutex> lock(mMutex);
+    if (mStyle == ProgressStyle::Bar) talk("\r\033[K");
+    if (mWarn) mWarn(sentence);
 }
 
 bool ProgressBar::cancelled() { return interrupted(); }
@@ -103,16 +129,29 @@ void ProgressBar::finish()
     endStage();
 }
 
-double ProgressBar::elapsedSeconds() const
-{
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - mStart).count();
-}
+double ProgressBar::elapsedSeconds() const { return secondsSince(mStart); }
 
 double ProgressBar::fraction() const
 {
     if (mTotal == 0) return 0;
     const double done = static_cast<double>(mDone.load(std::memory_order_relaxed));
     return std::min(1.0, done / static_cast<double>(mTotal));
+}
+
+double ProgressBar::secondsLeft() const
+{
+    if (!(mEnd > 0)) return std::numeric_limits<double>::infinity();
+    return std::max(0.0, mEnd - secondsSince(mWholeStart));
+}
+
+std::string ProgressBar::text(int barWidth) const
+{
+    const double left = secondsLeft(), whole = secondsSince(mWholeStart);
+    if (std::isfinite(left))
+        return progressText(whole / (whole + left), whole, barWidth) + " in all";
+    const std::string stage = progressText(fraction(), elapsedSeconds(), barWidth);
+    const bool tells = mEnd > 0 && stage.back() == 't';
+    return stage + (tells ? " of this step" : "");
 }
 
 bool ProgressBar::dueForLine(double elapsed)
@@ -128,9 +167,9 @@ bool ProgressBar::dueForLine(double elapsed)
 
 void ProgressBar::drawBar()
 {
-    const int room = terminalColumns() - static_cast<int>(mStage.size()) - 45;
+    const int room = terminalColumns() - static_cast<int>(mStage.size()) - 58;
     const int width = std::clamp(room, 0, 30);
-    talk("\r\033[K" + mStage + " " + progressText(fraction(), elapsedSeconds(), width));
+    talk("\r\033[K" + mStage + " " + text(width));
 }
 
 void ProgressBar::endStage()

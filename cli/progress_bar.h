@@ -8,6 +8,7 @@
 
 #include <atomic>
 #include <chrono>
+#include <functional>
 #include <mutex>
 #include <string>
 
@@ -23,13 +24,19 @@ enum class ProgressStyle {
 /// Bar when stderr is a terminal, Lines otherwise.
 ProgressStyle progressStyleOfStderr();
 
-/// Talks to stderr; cancelled() follows interrupted().
+/// Talks to stderr; cancelled() follows interrupted(). Shows the share and the time left of the
+/// whole work where that is known, else those of the stage.
 class ProgressBar : public Progress {
 public:
-    explicit ProgressBar(ProgressStyle style);
+    using Warn = std::function<void(const std::string&)>;
+    /// @a warn: who says warnings; one at a time, while the terminal's line is free.
+    explicit ProgressBar(ProgressStyle style, Warn warn = nullptr);
     ~ProgressBar() override;
     void begin(const char* stage, std::uint64_t total) override;
     void advance(std::uint64_t steps) override;
+    void expect(double seconds) override;
+    bool wantsForecast() override { return mStyle != ProgressStyle::Silent; }
+    void warn(const std::string& sentence) override;
     bool cancelled() override;
     /// Ends the stage that runs; the terminal's line is free again.
     void finish();
@@ -37,12 +44,15 @@ public:
 private:
     double elapsedSeconds() const;
     double fraction() const;
+    /// Of the whole work; infinity where it is not known.
+    double secondsLeft() const;
+    std::string text(int barWidth) const;
     void drawBar();
-    void printLine(const std::string& text);
     void endStage();
     bool dueForLine(double elapsed);
 
     const ProgressStyle mStyle;
+    const Warn mWarn;
     std::mutex mMutex; // guards everything but mDone
     std::atomic<std::uint64_t> mDone{0};
     std::uint64_t mTotal = 0;
@@ -50,6 +60,9 @@ private:
     std::chrono::steady_clock::time_point mStart;
     double mLastOutput = 0; // seconds after mStart
     double mLastFraction = 0;
+    // Of the whole work.
+    std::chrono::steady_clock::time_point mWholeStart = std::chrono::steady_clock::now();
+    double mEnd = 0; // when it is thought to be done, seconds after mWholeStart; 0: nobody said
 };
 
 /// "  42% [########            ] 12 s, about 17 s left".

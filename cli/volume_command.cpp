@@ -68,7 +68,8 @@ void VolumeCommand::run(const Arguments& arguments)
     const auto scene = mScene.load(mCommon.console);
     seconds.load = watch.restart();
 
-    ProgressBar progress(mCommon.console.progressStyle());
+    ProgressBar progress(mCommon.console.progressStyle(),
+        [this](const std::string& warning) { mCommon.console.warn(warning); });
     const Tracer tracer(scene, &progress);
     throwIfInterrupted();
     seconds.build = watch.restart();

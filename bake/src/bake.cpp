@@ -9,6 +9,7 @@
 #include <lumivdb/core/error.h>
 
 #include <cmath>
+#include <limits>
 
 namespace lumivdb {
 
@@ -102,7 +103,7 @@ IrradianceVolume bakeUniform(const Tracer& tracer, const BakeOptions& options, c
 
 void tell(SampleJournal& journal, BakeReport& report)
 {
-    journal.flush();
+    journal.finish();
     report.journalSamples = journal.taken();
     for (const std::string& warning : journal.warnings()) report.warnings.push_back(warning);
 }
@@ -287,8 +288,12 @@ BakeResult bakeVolume(const Tracer& tracer, const BakeOptions& wanted, Progress*
     Progress silent;
     Progress& talk = progress ? *progress : silent;
     BakeReport report;
-    const std::unique_ptr<SampleJournal> journal = openJournal(options, tracer.scene());
+    const std::shared_ptr<SampleJournal> journal = openJournal(options, tracer.scene(), talk);
     std::optional<IrradianceVolume> volume;
+    // Only where one stage traces all is its end that of the bake.
+    const bool staged = options.levels != 0 || options.target.error > 0
+        || options.integrator == Integrator::Cached;
+    if (staged) talk.expect(std::numeric_limits<double>::infinity());
     withThreads(options.threads, [&] {
         solveCache(tracer, options, report, talk);
         const bool cached = options.integrator == Integrator::Cached;
@@ -318,7 +323,7 @@ BakeResult bakeVolume(const Tracer& tracer, const BakeOptions& wanted, Progress*
         = report.secondsTrace > 0 ? static_cast<double>(traced) / report.secondsTrace : 0;
     report.spacing = volume->spacing();
     if (journal) tell(*journal, report);
-    return {std::move(*volume), std::move(report)};
+    return {std::move(*volume), std::move(report), journal};
 }
 
 } // namespace lumivdb

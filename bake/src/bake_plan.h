@@ -8,6 +8,8 @@
 
 #include <lumivdb/bake/bake.h>
 
+#include <cmath>
+
 namespace lumivdb {
 
 struct BakePlan {
@@ -20,6 +22,11 @@ struct BakePlan {
     /// The target error, or what the bands leave out where that is more: then the target is out of
     /// reach, and less noise or interpolation error would be work for nothing.
     double goal = 0;
+    /// Standard error of a sample with the rays of `samples`, relative to the mean irradiance.
+    double sampleNoise() const
+    {
+        return noisePerRay / std::sqrt(static_cast<double>(samples.probe.rays));
+    }
 };
 
 /// Fills in what @a options leave open and says why in @a report.

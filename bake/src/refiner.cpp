@@ -291,7 +291,7 @@ std::vector<Coord> Refiner::testPoints(const CellKey& cell) const
     return points;
 }
 
-void Refiner::measure(const std::vector<CellKey>& cells, Progress& progress)
+void Refiner::measure(const std::vector<CellKey>& cells, Outlook& outlook)
 {
     std::vector<CellKey> fresh;
     for (const CellKey& cell : cells) {
@@ -309,7 +309,7 @@ void Refiner::measure(const std::vector<CellKey>& cells, Progress& progress)
         if (!tests || cell.level == 0) continue;
         for (const Coord& p : testPoints(cell)) points.push_back(p);
     }
-    mStore.require(std::move(points), progress);
+    mStore.require(std::move(points), outlook);
     if (!tests) return;
     std::vector<Measure> measures(fresh.size());
     tbb::parallel_for(std::size_t{0}, fresh.size(), [&](std::size_t i) {
@@ -408,9 +408,11 @@ bool Refiner::followsNeighbours(const Octree& tree, const CellKey& cell) const
     return weighted(cell, measureAt(cell, shared).error2) > kFollow * mThreshold;
 }
 
-void Refiner::refineLevel(std::vector<CellKey>& cells, Progress& progress)
+void Refiner::refineLevel(std::vector<CellKey>& cells, Outlook& outlook)
 {
-    measure(cells, progress);
+    const int place = 2 * (mTree.levels() - cells.front().level);
+    outlook.enter(place, Outlook::Work::Samples);
+    measure(cells, outlook);
     std::vector<char> split(cells.size());
     tbb::parallel_for(
         std::size_t{0}, cells.size(), [&](std::size_t i) { split[i] = wantsSplit(cells[i]); });
@@ -432,7 +434,8 @@ void Refiner::refineLevel(std::vector<CellKey>& cells, Progress& progress)
     }
     if (mOptions.uses(RefineHeuristic::Error)) {
         // What has been split will be sampled; its neighbours may look at it, once.
-        mStore.require(points, progress);
+        outlook.enter(place + 1, Outlook::Work::Samples);
+        mStore.require(points, outlook);
         std::vector<char> follows(cells.size());
         tbb::parallel_for(std::size_t{0}, cells.size(),
             [&](std::size_t i) { follows[i] = !split[i] && followsNeighbours(mTree, cells[i]); });
@@ -443,20 +446,21 @@ void Refiner::refineLevel(std::vector<CellKey>& cells, Progress& progress)
     cells = std::move(next);
 }
 
-void Refiner::cull(Progress& progress)
+void Refiner::cull(Outlook& outlook)
 {
     const double ratio = mOptions.cullThreshold() / mOptions.error;
     const double threshold
         = mOptions.uses(RefineHeuristic::Error) ? ratio * mThreshold : mOptions.cullThreshold();
     if (!(threshold > 0)) return;
     for (int level = 1; level <= mTree.levels(); ++level) {
+        outlook.enter(2 * mTree.levels() + level - 1, Outlook::Work::Samples);
         std::vector<CellKey> candidates = mTree.mergeable(level);
         std::vector<Coord> points;
         for (const CellKey& cell : candidates) {
             appendNodes(mTree, cell, points);
             appendCorners(cell, points); // those outside the box, where it was split for balance
         }
-        mStore.require(std::move(points), progress);
+        mStore.require(std::move(points), outlook);
         std::vector<char> redundant(candidates.size());
         tbb::parallel_for(std::size_t{0}, candidates.size(), [&](std::size_t i) {
             const CellKey& cell = candidates[i];
@@ -475,13 +479,14 @@ void Refiner::cull(Progress& progress)
     }
 }
 
-RefinedCells Refiner::result(Progress& progress)
+RefinedCells Refiner::result(Outlook& outlook)
 {
+    outlook.enter(steps() - 1, Outlook::Work::Samples);
     RefinedCells r;
     r.cells = mTree.leaves();
     std::vector<Coord> points;
     for (const CellKey& cell : r.cells) appendCorners(cell, points);
-    mStore.require(std::move(points), progress);
+    mStore.require(std::move(points), outlook);
     for (const CellKey& cell : r.cells) {
         // A finest cell was not tested itself: it is thought to be as wrong as its parent.
         CellKey tested = cell;
@@ -496,18 +501,18 @@ RefinedCells Refiner::result(Progress& progress)
     return r;
 }
 
-RefinedCells Refiner::run(double threshold, Progress& progress)
+RefinedCells Refiner::run(double threshold, Outlook& outlook)
 {
     mThreshold = threshold;
     mLimited = false;
     for (const CellKey& cell : mTree.splitCells()) mTree.merge(cell);
     std::vector<CellKey> cells = mTree.roots();
     for (int level = mTree.levels(); level > 0 && !cells.empty(); --level) {
-        refineLevel(cells, progress);
+        refineLevel(cells, outlook);
     }
     mTree.balance();
-    cull(progress);
-    return result(progress);
+    cull(outlook);
+    return result(outlook);
 }
 
 } // namespace lumivdb

@@ -5,6 +5,7 @@
 /// Decides the cells of an adaptive volume; see refine.h for what each heuristic asks.
 
 #include "octree.h"
+#include "outlook.h"
 #include "sample_store.h"
 
 #include <lumivdb/bake/geometry_cells.h>
@@ -42,20 +43,21 @@ public:
 
     /// Decides with the error threshold @a threshold (the other thresholds are the options') and
     /// sees to it that the corners of all cells are in the store. May be called again with a lower
-    /// one: nothing is traced or measured twice.
-    RefinedCells run(double threshold, Progress& progress);
+    /// one: nothing is traced or measured twice. Its steps in @a outlook are below steps().
+    RefinedCells run(double threshold, Outlook& outlook);
+    int steps() const { return 3 * mTree.levels() + 1; }
 
 private:
     struct Measure {
         double error2 = 0; ///< worst channel of ‖Δ‖² / mean(E)², over free space
         double plain2 = 0; ///< the same without gradients
     };
-    void refineLevel(std::vector<CellKey>& cells, Progress& progress);
-    void measure(const std::vector<CellKey>& cells, Progress& progress);
+    void refineLevel(std::vector<CellKey>& cells, Outlook& outlook);
+    void measure(const std::vector<CellKey>& cells, Outlook& outlook);
     bool wantsSplit(const CellKey& cell) const;
     bool followsNeighbours(const Octree& tree, const CellKey& cell) const;
-    void cull(Progress& progress);
-    RefinedCells result(Progress& progress);
+    void cull(Outlook& outlook);
+    RefinedCells result(Outlook& outlook);
 
     std::vector<Coord> testPoints(const CellKey& cell) const;
     Measure measureAt(const CellKey& cell, const std::vector<Coord>& points) const;

@@ -180,7 +180,7 @@ void bakeSamples(const SampleBaker& baker, std::size_t count,
     };
     std::vector<std::size_t> kept, others;
     for (std::size_t i = 0; i < count; ++i) (baker.isKept(at(i)) ? kept : others).push_back(i);
-    bakeAll(kept, "read the journal");
+    bakeAll(kept, kJournalStage);
     bakeAll(others, "trace samples");
 }
 

@@ -63,6 +63,9 @@ private:
     SampleJournal::Kind mKind;
 };
 
+/// Stage of the samples that a journal had.
+inline constexpr const char* kJournalStage = "read the journal";
+
 /// Bakes @a count samples in parallel: number i, which lies at @a at(i), goes to @a store(i, …), on
 /// any thread. In an order in which cheap and dear places mix, so that @a progress tells the time
 /// that is left. @throws Error(Interrupted).

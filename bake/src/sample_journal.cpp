@@ -5,6 +5,7 @@
 
 #include <lumivdb/bake/bake.h>
 #include <lumivdb/core/error.h>
+#include <lumivdb/core/progress.h>
 #include <lumivdb/core/random.h>
 #include <lumivdb/core/xxhash64.h>
 
@@ -27,6 +28,8 @@ constexpr std::uint32_t kHeaderMagic = 0x484a564c, kBlockMagic = 0x424a564c; // 
 /// Written when a block is that large or that old: what a kill can cost.
 constexpr std::size_t kBlockBytes = std::size_t{256} << 10;
 constexpr std::chrono::seconds kBlockAge{2};
+/// Between two requests that the disk has it: what a power cut can cost.
+constexpr std::chrono::seconds kSyncAge{8};
 
 struct BlockHead {
     std::uint32_t magic, size;
@@ -103,6 +106,18 @@ std::string differences(const std::string& there, const std::string& now)
     return text;
 }
 
+/// The name of a new file is its folder's content. Where that fails, the file is there all the same
+/// unless the power is cut.
+void syncFolder(const std::string& path)
+{
+    const auto slash = path.rfind('/');
+    const std::string folder = slash == std::string::npos ? "." : path.substr(0, slash + 1);
+    const int fd = ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    if (fd < 0) return;
+    ::fsync(fd);
+    ::close(fd);
+}
+
 /// Whether the file begins like something else. A header torn at any place is ours.
 bool isForeign(int fd)
 {
@@ -118,11 +133,13 @@ std::size_t SampleJournal::KeyHash::operator()(const Key& key) const
     return static_cast<std::size_t>(hashPoint(key.settings, key.c.x, key.c.y, key.c.z));
 }
 
-SampleJournal::SampleJournal(const std::string& path, const std::string& header, Start start)
+SampleJournal::SampleJournal(
+    const std::string& path, const std::string& header, Start start, Progress* progress)
     : mPath(path)
+    , mProgress(progress)
 {
     mPending.resize(sizeof(BlockHead));
-    mWritten = std::chrono::steady_clock::now();
+    mWritten = mSynced = std::chrono::steady_clock::now();
     if (!open()) return;
     try {
         if (start == Start::Anew || !goOn(header)) begin(header);
@@ -136,13 +153,23 @@ SampleJournal::~SampleJournal()
 {
     if (mFd < 0) return;
     flush();
-    if (!mHoldsSamples) ::unlink(mPath.c_str());
+    if (!mHoldsSamples) remove();
     ::close(mFd);
+}
+
+void SampleJournal::remove()
+{
+    const std::lock_guard<std::mutex> guard(mMutex);
+    if (mFd < 0 || mRemoved) return;
+    ::unlink(mPath.c_str());
+    mRemoved = true;
+    mWrites = false;
 }
 
 void SampleJournal::warn(const std::string& why, const std::string& so)
 {
     mWarnings.push_back("The journal '" + mPath + "' " + why + ": " + so + ".");
+    if (mProgress) mProgress->warn(mWarnings.back());
 }
 
 std::vector<std::string> SampleJournal::warnings() const
@@ -198,7 +225,7 @@ void SampleJournal::begin(const std::string& header)
     }
     std::vector<char> block(sizeof(BlockHead));
     append(block, header.data(), header.size());
-    writeBlock(kHeaderMagic, block);
+    if (writeBlock(kHeaderMagic, block)) syncFolder(mPath);
 }
 
 /// Reads what is there. False where it is not even a header.
@@ -321,15 +348,48 @@ void SampleJournal::add(const Kind& kind, const Coord& c, const BakedSample& sam
             {v.x, v.y, v.z}, sample.rays, r.rays, r.directions, kind.values, kind.gradients};
     const bool whole = r.value.size() == kind.values && r.stderr_.size() == kind.values
         && r.gradient.size() == kind.gradients;
-    const std::lock_guard<std::mutex> guard(mMutex);
-    if (!mWrites || !whole) return;
-    append(mPending, &head, sizeof head);
-    for (const std::vector<Color>* colors : {&r.value, &r.stderr_, &r.gradient})
-        append(mPending, colors->data(), colors->size() * sizeof(Color));
-    if (mPending.size() >= kBlockBytes
-        || std::chrono::steady_clock::now() - mWritten >= kBlockAge) {
-        writePending();
+    bool due = false;
+    {
+        const std::lock_guard<std::mutex> guard(mMutex);
+        if (!mWrites || !whole) return;
+        append(mPending, &head, sizeof head);
+        for (const std::vector<Color>* colors : {&r.value, &r.stderr_, &r.gradient})
+            append(mPending, colors->data(), colors->size() * sizeof(Color));
+        if (mPending.size() >= kBlockBytes
+            || std::chrono::steady_clock::now() - mWritten >= kBlockAge) {
+            writePending();
+            due = isSyncDue();
+        }
     }
+    if (due) sync(); // may take long: the other threads go on meanwhile
+}
+
+/// Whether the caller should sync(); it alone is told so.
+bool SampleJournal::isSyncDue()
+{
+    const auto now = std::chrono::steady_clock::now();
+    if (now - mSynced < kSyncAge) return false;
+    mSynced = now;
+    return true;
+}
+
+void SampleJournal::sync()
+{
+    if (::fdatasync(mFd) == 0) return;
+    const int error = errno;
+    const std::lock_guard<std::mutex> guard(mMutex);
+    if (!mWrites) return;
+    mWrites = false;
+    warn(std::string("cannot be written (") + std::strerror(error) + ")",
+        "the bake goes on without; what it holds can still be resumed");
+}
+
+void SampleJournal::finish()
+{
+    flush();
+    if (mFd >= 0) sync();
+    const std::lock_guard<std::mutex> guard(mMutex);
+    mProgress = nullptr;
 }
 
 void SampleJournal::flush()
@@ -370,19 +430,17 @@ bool SampleJournal::writeBlock(std::uint32_t magic, std::vector<char>& block)
     return true;
 }
 
-std::unique_ptr<SampleJournal> openJournal(const BakeOptions& options, const Scene& scene)
+std::shared_ptr<SampleJournal> openJournal(
+    const BakeOptions& options, const Scene& scene, Progress& progress)
 {
     if (options.journal.empty()) return nullptr;
-    return std::make_unique<SampleJournal>(options.journal, journalHeader(options, scene),
-        options.resume ? SampleJournal::Start::GoOn : SampleJournal::Start::Anew);
+    return std::make_shared<SampleJournal>(options.journal, journalHeader(options, scene),
+        options.resume ? SampleJournal::Start::GoOn : SampleJournal::Start::Anew, &progress);
 }
 
-void removeJournal(const std::string& path)
+void removeJournal(const BakeResult& result)
 {
-    const int fd = ::open(path.c_str(), O_RDWR | O_CLOEXEC | O_NONBLOCK);
-    if (fd < 0) return;
-    if (::flock(fd, LOCK_EX | LOCK_NB) == 0 && !isForeign(fd)) ::unlink(path.c_str());
-    ::close(fd);
+    if (result.journal) result.journal->remove();
 }
 
 } // namespace lumivdb

@@ -31,6 +31,7 @@ namespace lumivdb {
 
 struct BakedSample; // sample_baker.h
 struct BakeOptions; // bake.h
+class Progress;
 struct Scene; // scene.h
 
 class SampleJournal {
@@ -48,10 +49,11 @@ public:
 
     /// Opens the journal at @a path and locks it. Where that cannot be done (another bake has it,
     /// the folder is read-only, a file of another kind has its name), or the disk is full later,
-    /// the bake goes on without, and warnings() says so.
+    /// the bake goes on without; @a progress, until finish(), and warnings() say so.
     /// @throws Error(Usage) with GoOn where the file's header is not @a header, naming the lines.
-    SampleJournal(const std::string& path, const std::string& header, Start start);
-    /// flush(). A journal without samples is removed.
+    SampleJournal(const std::string& path, const std::string& header, Start start,
+        Progress* progress = nullptr);
+    /// flush(). A journal without samples is removed; the lock ends.
     ~SampleJournal();
     SampleJournal(const SampleJournal&) = delete;
     SampleJournal& operator=(const SampleJournal&) = delete;
@@ -67,6 +69,10 @@ public:
     std::uint64_t takenRays() const { return mTakenRays; } ///< shadow rays included
     /// Writes what is not yet written.
     void flush();
+    /// The bake is over: flush(), and what is there outlasts a power cut.
+    void finish();
+    /// Deletes the file. Not one that another bake holds or that is no journal.
+    void remove();
     std::vector<std::string> warnings() const;
 
 private:
@@ -83,7 +89,6 @@ private:
         std::uint32_t size;
     };
     bool open();
-    bool lock();
     void begin(const std::string& header);
     bool goOn(const std::string& header);
     bool readBlock(std::uint32_t magic, std::uint64_t offset, std::vector<char>& payload) const;
@@ -91,6 +96,8 @@ private:
     bool readAt(std::uint64_t offset, void* data, std::size_t size) const;
     bool writeBlock(std::uint32_t magic, std::vector<char>& block);
     void writePending();
+    bool isSyncDue();
+    void sync();
     void warn(const std::string& why, const std::string& so);
 
     std::string mPath;
@@ -103,13 +110,15 @@ private:
     bool mWrites = false;
     std::vector<char> mPending; // room for a block's head, then records
     std::uint64_t mEnd = 0; // where the next block goes
-    bool mHoldsSamples = false;
-    std::chrono::steady_clock::time_point mWritten;
+    bool mHoldsSamples = false, mRemoved = false;
+    std::chrono::steady_clock::time_point mWritten, mSynced;
+    Progress* mProgress; // who is told of warnings
     std::vector<std::string> mWarnings;
 };
 
 /// The journal of a bake; null where @a options name none. @throws Error(Usage).
-std::unique_ptr<SampleJournal> openJournal(const BakeOptions& options, const Scene& scene);
+std::shared_ptr<SampleJournal> openJournal(
+    const BakeOptions& options, const Scene& scene, Progress& progress);
 
 /// Lines "name value": all that changes what the bake makes, but for how a file is written.
 std::string journalHeader(const BakeOptions& options, const Scene& scene);

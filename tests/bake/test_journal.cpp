@@ -15,6 +15,9 @@
 #include <iterator>
 #include <limits>
 
+#include <csignal>
+#include <sys/resource.h>
+
 using namespace lumivdb;
 using namespace lumivdb::test;
 namespace fs = std::filesystem;
@@ -230,9 +233,9 @@ TEST_CASE("a second bake does without the journal of the first", "[bake][journal
         CHECK(second.warnings().size() == 1);
         second.add(kPlain, Coord(0), madeSample(1, 4, 0));
         CHECK(heldBy(second) == 0);
+        second.remove(); // not that of a running bake
     }
     first.add(kPlain, Coord(0), sampleOf(0));
-    removeJournal(path); // not that of a running bake
     CHECK(fs::exists(path));
     CHECK(first.warnings().empty());
 }
@@ -304,7 +307,8 @@ TEST_CASE("a bake that goes on makes the same volume", "[bake][journal]")
             CHECK(wanted.report.achieved.upper == resumed.report.achieved.upper);
             CHECK(resumed.report.warnings == wanted.report.warnings);
             taken += resumed.report.journalSamples > 0;
-            removeJournal(o.journal);
+            CHECK(fs::exists(o.journal));
+            removeJournal(resumed);
             CHECK(!fs::exists(o.journal));
         }
     }
@@ -317,10 +321,12 @@ TEST_CASE("a whole journal leaves nothing to trace", "[bake][journal]")
     const Folder folder;
     BakeOptions o = adaptiveOptions();
     o.journal = folder.file("j");
-    const BakeResult first = bakeVolume(*tracer, o);
+    BakeResult first = bakeVolume(*tracer, o);
     CHECK(first.report.journalSamples == 0);
+    first.journal.reset();
     o.resume = true;
-    const BakeResult second = bakeVolume(*tracer, o);
+    BakeResult second = bakeVolume(*tracer, o);
+    second.journal.reset();
     CHECK(second.report.journalSamples == second.report.tracedSamples);
     CHECK(differentRecords(first.volume, second.volume) == 0);
     // Each option that changes samples is told.
@@ -354,4 +360,103 @@ TEST_CASE("a bake goes on without a journal where none can be written", "[bake][
         CHECK(r.report.warnings.size() == wanted.report.warnings.size() + 1);
         CHECK(differentRecords(wanted.volume, r.volume) == 0);
     }
+}
+
+namespace {
+
+/// Keeps what it is warned of, and how far the work was then.
+class Listener : public Progress {
+public:
+    void advance(std::uint64_t n) override { mDone += n; }
+    void warn(const std::string& sentence) override
+    {
+        warnings.push_back(sentence);
+        doneAtWarning = mDone;
+    }
+    std::vector<std::string> warnings;
+    std::uint64_t doneAtWarning = 0;
+
+private:
+    std::atomic<std::uint64_t> mDone{0};
+};
+
+/// Files may not grow beyond some bytes, as on a disk that is full then.
+class SmallFiles {
+public:
+    explicit SmallFiles(rlim_t bytes)
+    {
+        mHandler = std::signal(SIGXFSZ, SIG_IGN);
+        REQUIRE(::getrlimit(RLIMIT_FSIZE, &mBefore) == 0);
+        struct rlimit limit = mBefore;
+        limit.rlim_cur = bytes;
+        REQUIRE(::setrlimit(RLIMIT_FSIZE, &limit) == 0);
+    }
+    ~SmallFiles()
+    {
+        ::setrlimit(RLIMIT_FSIZE, &mBefore);
+        std::signal(SIGXFSZ, mHandler);
+    }
+    SmallFiles(const SmallFiles&) = delete;
+    SmallFiles& operator=(const SmallFiles&) = delete;
+
+private:
+    struct rlimit mBefore { };
+    void (*mHandler)(int) = nullptr;
+};
+
+} // namespace
+
+TEST_CASE("a journal that cannot be written is told before the first sample", "[bake][journal]")
+{
+    const auto tracer = makeTracer(litRoom());
+    const Folder folder;
+    BakeOptions o = uniformOptions();
+    o.journal = folder.file("no folder/j");
+    Listener listener;
+    const BakeResult r = bakeVolume(*tracer, o, &listener);
+    REQUIRE(listener.warnings.size() == 1);
+    CHECK(listener.doneAtWarning == 0);
+    CHECK(r.report.warnings.back() == listener.warnings.front());
+}
+
+TEST_CASE("a disk that fills up ends the journal, not the bake", "[bake][journal]")
+{
+    const auto tracer = makeTracer(litRoom());
+    const Folder folder;
+    BakeOptions o = uniformOptions();
+    const BakeResult wanted = bakeVolume(*tracer, o);
+    o.journal = folder.file("j");
+    Listener listener;
+    for (const rlim_t room : {10, 3000}) { // not even the header; no samples
+        CAPTURE(room);
+        {
+            const SmallFiles small(room);
+            const BakeResult r = bakeVolume(*tracer, o, &listener);
+            CHECK(differentRecords(wanted.volume, r.volume) == 0);
+        }
+        CHECK(listener.warnings.size() == 1);
+        listener.warnings.clear();
+    }
+}
+
+TEST_CASE("a journal stays locked until its volume is in its place", "[bake][journal]")
+{
+    const auto tracer = makeTracer(litRoom());
+    const Folder folder;
+    BakeOptions o = uniformOptions();
+    o.journal = folder.file("j");
+    {
+        const BakeResult r = bakeVolume(*tracer, o);
+        SampleJournal other(o.journal, "rays 8\n", Start::Anew);
+        CHECK(other.warnings().size() == 1);
+        removeJournal(r);
+        CHECK(!fs::exists(o.journal));
+        // A new bake's journal of that name is not the old bake's to delete.
+        SampleJournal next(o.journal, "rays 8\n", Start::Anew);
+        CHECK(next.warnings().empty());
+        removeJournal(r);
+        CHECK(fs::exists(o.journal));
+    }
+    const BakeResult again = bakeVolume(*tracer, o);
+    CHECK(again.report.warnings.empty());
 }

@@ -10,11 +10,14 @@
 #include <lumivdb/core/sampler.h>
 #include <lumivdb/core/volume.h>
 
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
 namespace lumivdb {
+
+class SampleJournal;
 
 /// Asks for a volume whose error is at most @a error and proves it: samples are added until points
 /// that the bake never used agree. See bakeVolume().
@@ -50,7 +53,7 @@ struct BakeOptions {
     std::string commandLine; ///< stored in the metadata
     int threads = 0; ///< 0: all cores
     /// File that keeps the samples traced, so that a bake that was killed can go on; "": none. It
-    /// stays when the bake is done, see removeJournal().
+    /// stays when the bake is done, see BakeResult::journal.
     std::string journal;
     bool resume = false; ///< take from the journal what an earlier bake left there
     /// @throws Error(Usage) naming the field, its value and the range.
@@ -95,6 +98,9 @@ struct BakeReport {
 struct BakeResult {
     IrradianceVolume volume;
     BakeReport report;
+    /// Null without one. The file stays, and no other bake can have it, as long as this lives:
+    /// until the volume is in its place.
+    std::shared_ptr<SampleJournal> journal;
 };
 
 /// The spacing a bake uses when none is given: the longest side of the scene's box / 20, rounded
@@ -118,15 +124,16 @@ double defaultSpacing(const Box3d& sceneBounds);
 ///
 /// With a journal, a bake that was interrupted or killed at any moment goes on where it was, with
 /// BakeOptions::resume, and makes the same volume, bit for bit, on any number of threads. Only
-/// samples are kept: pilot probes, and points that prove a target, are traced again. A journal that
-/// cannot be written, or that another running bake holds, is done without; the report warns.
+/// samples are kept: pilot probes, and points that prove a target, are traced again. A kill costs
+/// about two seconds of work, a power cut about ten. A journal that cannot be written, or that
+/// another running bake holds, is done without; Progress::warn() says so at once, the report too.
 /// @throws Error(Usage) for bad options, more than 2³¹ samples or a journal of another bake;
 /// Error(Interrupted).
 BakeResult bakeVolume(
     const Tracer& tracer, const BakeOptions& options, Progress* progress = nullptr);
 
-/// Deletes the journal of a bake whose volume is in its place; not one that a running bake holds.
-void removeJournal(const std::string& path);
+/// Deletes the journal of a bake whose volume is in its place, where it has one.
+void removeJournal(const BakeResult& result);
 
 /// A point that lies on a surface (within half of @a clearance, world units) has two answers, on an
 /// edge four, in a corner eight. Returns a place @a clearance off all of them: the one that sees
