@@ -214,14 +214,18 @@ private:
     void chooseRays(const Pilot& pilot)
     {
         const double noise = kNoiseShare * mPlan.goal;
-        mPlan.samples.probe.rays = kFirstRays;
+        // Half of what all would need if they were alike: larger sets fill the packets of rays.
+        const double alike = std::pow(pilot.noisePerRay / noise, 2);
+        int first = kFirstRays;
+        while (2 * first <= alike / 2 && first < kMostRays) first *= 2;
+        mPlan.samples.probe.rays = first;
         mPlan.samples.levels = mPlan.levels;
         StopRule& stop = mPlan.samples.stop;
         stop.meanE = pilot.meanE;
         stop.perDeviation = kLevelsShare * pilot.meanNoisePerRay / (noise * noise);
         stop.tolerance = kMostNoise * mPlan.goal;
         stop.most = kMostRays;
-        decide("rays " + std::to_string(kFirstRays)
+        decide("rays " + std::to_string(first)
             + " per sample at least, doubled where its own standard error is above "
             + percentText(stop.tolerance)
             + " of the mean irradiance, or above less where it stands for much space"
