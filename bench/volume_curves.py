@@ -119,7 +119,8 @@ def to_error(rows, target, bias):
         return None, ""
     left = math.sqrt(target ** 2 - bias ** 2)
     found = line((first["rays"], noise[0]), (last["rays"], noise[1]), left)
-    return seconds_between(first, last, found), "~"
+    # The first count is the furthest away: the slope of near ones may be noise, even below 0.
+    return max(growing(last), seconds_between(rows[0], last, found)), "~"
 
 
 def biases(result):
