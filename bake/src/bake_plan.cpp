@@ -24,7 +24,7 @@ constexpr std::size_t kPilotPoints = 256;
 constexpr int kPilotRays = 256, kTargetPilotRays = 1024;
 /// Shares of a target that the pieces may take, as standard deviations; the rest is for
 /// interpolation.
-constexpr double kTruncationShare = 0.6, kNoiseShare = 0.5;
+constexpr double kTruncationShare = 0.6, kNoiseShare = 1.0 / 3;
 /// Least and most directions of a sample where the bake chooses.
 constexpr int kFirstRays = 32, kMostRays = 1 << 20;
 /// The most that one sample's standard error may be, in shares of the target.
@@ -214,10 +214,10 @@ private:
     void chooseRays(const Pilot& pilot)
     {
         const double noise = kNoiseShare * mPlan.goal;
-        // Half of what all would need if they were alike: larger sets fill the packets of rays.
+        // A quarter of what all would need if they were alike: larger sets fill packets of rays.
         const double alike = std::pow(pilot.noisePerRay / noise, 2);
         int first = kFirstRays;
-        while (2 * first <= alike / 2 && first < kMostRays) first *= 2;
+        while (2 * first <= alike / 4 && first < kMostRays) first *= 2;
         mPlan.samples.probe.rays = first;
         mPlan.samples.levels = mPlan.levels;
         StopRule& stop = mPlan.samples.stop;
