@@ -9,6 +9,7 @@
 
 #include <catch2/catch.hpp>
 
+#include <algorithm>
 #include <cmath>
 
 using namespace lumivdb;
@@ -141,7 +142,11 @@ TEST_CASE("Sun and sky are drawn apart and together make the map", "[sun][enviro
     CounterRng random(5);
     double sun = 0, sky = 0;
     const int n = 20000;
-    Vec3d sums[2][4] = {}, squares[2][4] = {};
+    Vec3d sums[2][4], squares[2][4]; // a Vec3d is not zero by itself
+    for (int i = 0; i < 2; ++i) {
+        std::fill_n(sums[i], 4, Vec3d(0.0));
+        std::fill_n(squares[i], 4, Vec3d(0.0));
+    }
     for (int k = 0; k < n; ++k) {
         const double t = random.nextDouble(), u = random.nextDouble(), v = random.nextDouble();
         const Environment::Sample a = env->sampleSun(u, v), b = env->sampleSky(u, v);

@@ -154,7 +154,7 @@ class Plot(CliCase):
     def test_without_gnuplot_it_says_what_to_do_before_the_work(self):
         begun = time.monotonic()
         done = subprocess.run([PROGRAM, "bench", "--plot", self.folder / "p.png"], check=False,
-                              capture_output=True, text=True, timeout=60,
+                              capture_output=True, text=True, timeout=300,
                               env={**os.environ, "PATH": str(self.folder)})
         self.assertEqual(done.returncode, 4)
         self.assertIn("gnuplot", done.stderr)
@@ -169,7 +169,7 @@ class Plot(CliCase):
         target = self.folder / "never.png"
         done = subprocess.run([PROGRAM, "bench", "--quick", "--scene", FURNACE, "--spacing", "0.5",
                                "--rays", "4", "--points", "4", "--reference-rays", "16", "--plot",
-                               target], check=False, capture_output=True, text=True, timeout=60,
+                               target], check=False, capture_output=True, text=True, timeout=300,
                               env={**os.environ, "PATH": f"{fake.parent}:/usr/bin:/bin"})
         self.assertEqual(done.returncode, 4)
         self.assertIn("it hurts", done.stderr)
