@@ -4,6 +4,7 @@
 /// lumivdb_bench_cache SCENE [key=value ...], see usage().
 
 #include "free_points.h"
+#include "program.h"
 
 #include <lumivdb/bake/bake.h>
 #include <lumivdb/bake/environment.h>
@@ -51,13 +52,6 @@ int usage(const char* program)
         "  [patches=N] [rays=N a patch] [nearness=R] [maxpatches=N]\n",
         program);
     return 2;
-}
-
-Box3d parseBounds(const char* text)
-{
-    double v[6] = {};
-    std::sscanf(text, "%lf,%lf,%lf,%lf,%lf,%lf", v, v + 1, v + 2, v + 3, v + 4, v + 5);
-    return {Vec3d(v[0], v[1], v[2]), Vec3d(v[3], v[4], v[5])};
 }
 
 bool parse(int argc, char** argv, Settings& s)
@@ -319,12 +313,4 @@ int run(int argc, char** argv)
 
 } // namespace
 
-int main(int argc, char** argv)
-{
-    try {
-        return run(argc, argv);
-    } catch (const std::exception& e) {
-        std::fprintf(stderr, "%s\n", e.what());
-        return 3;
-    }
-}
+int main(int argc, char** argv) { return runProgram(run, argc, argv); }

@@ -6,6 +6,8 @@
 /// Top row: irradiance of upward surfaces with shared directions, with own ones, and the reference.
 /// Bottom row: how far the first two are off, red above and blue below, and the difference of both.
 
+#include "program.h"
+
 #include <lumivdb/bake/bake.h>
 #include <lumivdb/bake/environment.h>
 #include <lumivdb/core/error.h>
@@ -189,12 +191,4 @@ int run(int argc, char** argv)
 
 } // namespace
 
-int main(int argc, char** argv)
-{
-    try {
-        return run(argc, argv);
-    } catch (const std::exception& e) {
-        std::fprintf(stderr, "%s\n", e.what());
-        return 3;
-    }
-}
+int main(int argc, char** argv) { return runProgram(run, argc, argv); }

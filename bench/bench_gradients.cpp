@@ -9,6 +9,8 @@
 /// rays and a step of its own, once more with half the step: what the two differ by is its own
 /// error. Errors are of all coefficients, axes and channels of a probe, over the reference's norm.
 
+#include "program.h"
+
 #include <lumivdb/bake/bake.h>
 #include <lumivdb/bake/environment.h>
 #include <lumivdb/core/error.h>
@@ -350,12 +352,4 @@ int run(int argc, char** argv)
 
 } // namespace
 
-int main(int argc, char** argv)
-{
-    try {
-        return run(argc, argv);
-    } catch (const std::exception& e) {
-        std::fprintf(stderr, "%s\n", e.what());
-        return 3;
-    }
-}
+int main(int argc, char** argv) { return runProgram(run, argc, argv); }

@@ -4,6 +4,7 @@
 /// lumivdb_bench_rays SCENE [ENVIRONMENT] [rays per point] [points] [repeats]
 
 #include "free_points.h"
+#include "program.h"
 
 #include <lumivdb/bake/environment.h>
 #include <lumivdb/bake/ray_benchmark.h>
@@ -68,12 +69,4 @@ int run(int argc, char** argv)
 
 } // namespace
 
-int main(int argc, char** argv)
-{
-    try {
-        return run(argc, argv);
-    } catch (const std::exception& e) {
-        std::fprintf(stderr, "%s\n", e.what());
-        return 3;
-    }
-}
+int main(int argc, char** argv) { return runProgram(run, argc, argv); }

@@ -10,6 +10,8 @@
 /// (and other caches). Bakes of both integrators take turns; of each number of rays the fastest
 /// counts.
 
+#include "program.h"
+
 #include <lumivdb/bake/bake.h>
 #include <lumivdb/bake/environment.h>
 #include <lumivdb/core/error.h>
@@ -53,13 +55,6 @@ int usage(const char* program)
         "twice, all threads] [bias=8192 rays a sample, twice; 0: not measured]\n",
         program);
     return 2;
-}
-
-Box3d parseBounds(const char* text)
-{
-    double v[6] = {};
-    std::sscanf(text, "%lf,%lf,%lf,%lf,%lf,%lf", v, v + 1, v + 2, v + 3, v + 4, v + 5);
-    return {Vec3d(v[0], v[1], v[2]), Vec3d(v[3], v[4], v[5])};
 }
 
 bool parse(int argc, char** argv, Settings& s)
@@ -361,12 +356,4 @@ int run(int argc, char** argv)
 
 } // namespace
 
-int main(int argc, char** argv)
-{
-    try {
-        return run(argc, argv);
-    } catch (const std::exception& e) {
-        std::fprintf(stderr, "%s\n", e.what());
-        return 3;
-    }
-}
+int main(int argc, char** argv) { return runProgram(run, argc, argv); }
