@@ -452,8 +452,9 @@ private:
         }
         mReport.patches = mIds.size();
         mReport.joined = mPatches->joined();
+        mReport.kept = light.size() * sizeof(RadianceCache::Light) + mPatches->bytes();
         mReport.bytes = mLinks.size() * sizeof(Link) + mIds.size() * (3 * sizeof(Color) + 17)
-            + light.size() * sizeof(RadianceCache::Light) + mPatches->bytes();
+            + mReport.kept;
     }
 
     const Tracer::Impl& mTracer;
@@ -510,9 +511,15 @@ RadianceCache::RadianceCache(
 
 RadianceCache::~RadianceCache() = default;
 
+std::uint32_t RadianceCache::patchAt(
+    std::uint32_t triangle, float u, float v, bool behind) const
+{
+    return mImpl->patches.find(triangle, u, v, behind);
+}
+
 RadianceCache::Light RadianceCache::at(std::uint32_t triangle, float u, float v, bool behind) const
 {
-    const SurfacePatches::Id id = mImpl->patches.find(triangle, u, v, behind);
+    const SurfacePatches::Id id = patchAt(triangle, u, v, behind);
     return id == SurfacePatches::kNone ? Light{Color(0.0f), false} : mImpl->light[id];
 }
 

@@ -53,6 +53,7 @@ struct RadianceCacheReport {
     std::size_t joined = 0; ///< pieces that share a patch with others they do not touch
     std::uint64_t rays = 0; ///< shadow rays included
     std::size_t bytes = 0; ///< most held at once while solving
+    std::size_t kept = 0; ///< bytes held afterwards
     int iterations = 0;
     double residual = 0; ///< reached
     bool full = false; ///< dividing stopped at maxPatches
@@ -99,6 +100,8 @@ public:
         bool mixed;
     };
     Light at(std::uint32_t triangle, float u, float v, bool behind) const;
+    /// Number of that patch; 2³² − 1 where there is none.
+    std::uint32_t patchAt(std::uint32_t triangle, float u, float v, bool behind) const;
 
 private:
     friend class CacheSolver;
