@@ -453,8 +453,8 @@ private:
         mReport.patches = mIds.size();
         mReport.joined = mPatches->joined();
         mReport.kept = light.size() * sizeof(RadianceCache::Light) + mPatches->bytes();
-        mReport.bytes = mLinks.size() * sizeof(Link) + mIds.size() * (3 * sizeof(Color) + 17)
-            + mReport.kept;
+        mReport.bytes
+            = mLinks.size() * sizeof(Link) + mIds.size() * (3 * sizeof(Color) + 17) + mReport.kept;
     }
 
     const Tracer::Impl& mTracer;
@@ -511,8 +511,7 @@ RadianceCache::RadianceCache(
 
 RadianceCache::~RadianceCache() = default;
 
-std::uint32_t RadianceCache::patchAt(
-    std::uint32_t triangle, float u, float v, bool behind) const
+std::uint32_t RadianceCache::patchAt(std::uint32_t triangle, float u, float v, bool behind) const
 {
     return mImpl->patches.find(triangle, u, v, behind);
 }
