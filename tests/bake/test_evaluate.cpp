@@ -75,6 +75,23 @@ TEST_CASE("an exact volume: no error but the reference's noise", "[evaluate]")
     CHECK(std::abs(finer.bias) < 0.002);
 }
 
+TEST_CASE("two references: their noise enters neither the error nor its bound", "[evaluate]")
+{
+    const auto tracer = makeTracer(constantSky());
+    EvaluateOptions o = options(400, 8);
+    const EvaluateReport once = evaluateVolume(constantVolume(1.1), *tracer, o);
+    o.twice = true;
+    const EvaluateReport twice = evaluateVolume(constantVolume(1.1), *tracer, o);
+    CAPTURE(once.referenceStderr, twice.referenceStderr, once.upper, twice.upper);
+    REQUIRE(twice.referenceStderr > 0.03);
+    // 400 points: the mean square's spread is about 2 · 0.1 · noise, its mean's a twentieth.
+    const double spread = twice.referenceStderr / 20;
+    CHECK(twice.relRmseDebiased == Approx(0.1).margin(4 * spread));
+    CHECK(twice.upper > twice.relRmseDebiased);
+    CHECK(twice.upper < 0.1 + 6 * spread);
+    CHECK(once.upper > 0.1 + 6 * spread);
+}
+
 TEST_CASE("a volume 10% too bright, or dark: that bias, that error", "[evaluate]")
 {
     const auto tracer = makeTracer(constantSky());
