@@ -20,10 +20,12 @@ constexpr int kPartHalo = 5;
 constexpr int kMaxRounds = 24;
 /// Where the bands alone leave out more than the target.
 constexpr int kHopelessRounds = 3;
-constexpr std::size_t kVerifyPoints = 1024, kMaxVerifyPoints = 4096;
-/// The reference's own noise in targets: the bound contains it.
-constexpr double kReferenceShare = 0.3;
-constexpr double kMaxReferenceRays = 16384;
+/// Rare places make much of an error (under eaves, one point in 2,000 made an eighth of the
+/// square): a bound needs many points more than exact ones.
+constexpr std::size_t kVerifyPoints = 4096, kMaxVerifyPoints = 16384;
+/// The reference's own noise in targets; it takes no part in the bound but as spread.
+constexpr double kReferenceShare = 0.6;
+constexpr double kMaxReferenceRays = 4096;
 // A rehearsal: directions of a sample as a share of the bake's.
 constexpr int kRehearsalShare = 64, kLeastRehearsalShare = 16;
 constexpr int kFewestRehearsalRays = 4, kRehearsalRays = 16, kMostRehearsalRays = 64;
@@ -308,7 +310,7 @@ EvaluateReport AdaptiveBake::judge(
     }
 }
 
-/// Directions at a point of verification.
+/// Directions at a point of verification, twice.
 int AdaptiveBake::referenceRays() const
 {
     // The reference's own noise is that of paths, of which a cached bake's rays know nothing.
@@ -317,8 +319,8 @@ int AdaptiveBake::referenceRays() const
     const double wanted = std::pow(noisePerRay / (kReferenceShare * mPlan.goal), 2);
     const double most = cached || mOptions.target.chooseRays
         ? kMaxReferenceRays
-        : std::clamp(8.0 * mPlan.samples.probe.rays, 1024.0, kMaxReferenceRays);
-    return static_cast<int>(std::clamp(wanted, 256.0, most));
+        : std::clamp(2.0 * mPlan.samples.probe.rays, 256.0, kMaxReferenceRays);
+    return static_cast<int>(std::clamp(wanted, 64.0, most) / 2);
 }
 
 AchievedError AdaptiveBake::verify(const IrradianceVolume& volume, std::size_t count, int round)
@@ -329,6 +331,7 @@ AchievedError AdaptiveBake::verify(const IrradianceVolume& volume, std::size_t c
     evaluate.contribution = mOptions.probe.contribution;
     evaluate.maxBounces = mOptions.probe.maxBounces;
     evaluate.rays = referenceRays();
+    evaluate.twice = true;
     evaluate.seed = hashCombine(
         mixBits(mOptions.probe.seed ^ kVerifyStream), static_cast<std::uint64_t>(round));
     // Each look may pass by luck. The risks of all add up to what the confidence allows: shares
@@ -460,7 +463,8 @@ IrradianceVolume AdaptiveBake::runToTarget()
         const bool last = limited || isLast(round);
         mProgress.enter(mRefiner->steps() + 1, Outlook::Work::Points);
         for (;;) {
-            mReport.achieved = verify(volume, points, round * 16 + static_cast<int>(points >> 9));
+            mReport.achieved
+                = verify(volume, points, round * 16 + static_cast<int>(points / kVerifyPoints));
             // Good enough, but too few points to be sure: look at more before tracing more.
             const bool unsure
                 = !mReport.achieved.met && mReport.achieved.relRmse < 0.95 * mOptions.target.error;
@@ -507,7 +511,7 @@ double AdaptiveBake::foreseenSecondsToVerify() const
         seconds += step.work == Outlook::Work::Samples ? step.seconds : 0;
     const double directions = static_cast<double>(mStore->size()) * mRehearsalRays;
     const double slower = mPlan.samples.probe.cache ? kPathOverCache : 1;
-    return kRehearsalPace * slower * seconds / std::max(1.0, directions) * referenceRays()
+    return kRehearsalPace * slower * seconds / std::max(1.0, directions) * referenceRays() * 2
         * static_cast<double>(kVerifyPoints);
 }
 

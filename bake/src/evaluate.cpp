@@ -33,6 +33,27 @@ struct Comparison {
     std::vector<Color> volume, reference, error;
 };
 
+/// All points of an estimator share its directions, and with them some of their error: those of a
+/// `twice` are spread over so many pairs.
+constexpr std::uint64_t kPairs = 32;
+
+/// An estimator with scratch of its own, by thread.
+class Reference {
+public:
+    Reference(const Tracer& tracer, const ProbeOptions& options)
+        : mEstimator(tracer, options)
+    {
+    }
+    ProbeResult irradiance(const Vec3d& p, const std::vector<Vec3f>& normals, std::uint64_t key)
+    {
+        return mEstimator.irradiance(p, normals, key, mWorkspaces.local());
+    }
+
+private:
+    ProbeEstimator mEstimator;
+    tbb::enumerable_thread_specific<ProbeEstimator::Workspace> mWorkspaces;
+};
+
 enum class Fate { Compared, InsideGeometry, OutsideVolume, NotFinite };
 
 class Evaluator {
@@ -42,8 +63,13 @@ public:
         , mOptions(options)
         , mSampler(volume, options.mode)
         , mNormals(uniformNormals(options.normals))
-        , mEstimator(tracer, probeOptions(options))
     {
+        const std::uint64_t count = options.twice ? 2 * kPairs : 1;
+        for (std::uint64_t i = 0; i < count; ++i) {
+            ProbeOptions o = probeOptions(options);
+            if (i > 0) o.seed = hashCombine(o.seed, i);
+            mReferences.push_back(std::make_unique<Reference>(tracer, o));
+        }
     }
 
     EvaluateReport run(Progress& progress)
@@ -113,7 +139,7 @@ private:
                 stop = true;
                 return;
             }
-            fates[i] = compare(points[i], mWorkspaces.local(), round[i]);
+            fates[i] = compare(points[i], round[i]);
             if (!mOptions.weights.empty()) round[i].weight = mOptions.weights[i];
             if (fates[i] == Fate::Compared) progress.advance(1);
         });
@@ -126,7 +152,7 @@ private:
         }
     }
 
-    Fate compare(const Vec3d& p, ProbeEstimator::Workspace& workspace, Comparison& c) const
+    Fate compare(const Vec3d& p, Comparison& c)
     {
         QueryInfo info;
         mSampler.irradiance(p, mNormals[0], &info);
@@ -139,15 +165,27 @@ private:
             std::memcpy(&bits, &p[a], sizeof bits);
             key = hashCombine(key, bits);
         }
-        ProbeResult r = mEstimator.irradiance(p, mNormals, key, workspace);
+        const std::size_t first = mOptions.twice ? 2 * (key % kPairs) : 0;
+        ProbeResult r = mReferences[first]->irradiance(p, mNormals, key);
         if (r.validity < kValidThreshold) return Fate::InsideGeometry;
         c.position = p;
         c.reference = std::move(r.value);
         c.error = std::move(r.stderr_);
+        if (mOptions.twice) join(mReferences[first + 1]->irradiance(p, mNormals, ~key), c);
         for (const Vec3f& n : mNormals) c.volume.push_back(mSampler.irradiance(p, n));
         const bool finite = std::all_of(c.volume.begin(), c.volume.end(), isFinite)
             && std::all_of(c.reference.begin(), c.reference.end(), isFinite);
         return finite ? Fate::Compared : Fate::NotFinite;
+    }
+
+    /// The mean with a second, independent reference. (a − b)²/4 has the mean's variance as its
+    /// expectation, so squared errors less it are (V − a)(V − b), where no noise is left.
+    static void join(const ProbeResult& second, Comparison& c)
+    {
+        for (std::size_t k = 0; k < c.reference.size(); ++k) {
+            c.error[k] = (c.reference[k] - second.value[k]) * 0.5f;
+            c.reference[k] = (c.reference[k] + second.value[k]) * 0.5f;
+        }
     }
 
     static bool isFinite(const Color& c)
@@ -177,22 +215,25 @@ private:
     {
         double weights = 0, mean = 0, bias = 0, square = 0, noise = 0;
         std::vector<std::pair<double, double>> absolute; // error, weight
-        std::vector<double> squares, pointWeights; // squares: mean over normals, times the weight
+        // By point, times its weight; the first two are means over its normals.
+        std::vector<double> squares, values, pointWeights;
         for (const Comparison& point : mComparisons) {
             const double w = point.weight / static_cast<double>(point.reference.size());
-            double square1 = 0, noise1 = 0;
+            double square1 = 0, noise1 = 0, mean1 = 0;
             for (std::size_t k = 0; k < point.reference.size(); ++k) {
                 const double reference = point.reference[k][c];
                 const double difference = point.volume[k][c] - reference;
-                mean += w * reference;
+                mean1 += w * reference;
                 bias += w * difference;
                 square1 += w * difference * difference;
                 noise1 += w * static_cast<double>(point.error[k][c]) * point.error[k][c];
                 absolute.emplace_back(std::abs(difference), w);
             }
+            mean += mean1;
             square += square1;
             noise += noise1;
-            squares.push_back(square1);
+            squares.push_back(mOptions.twice ? square1 - noise1 : square1);
+            values.push_back(mean1);
             pointWeights.push_back(point.weight);
             weights += point.weight;
         }
@@ -216,13 +257,15 @@ private:
         const double signedBias = bias < 0 ? -relative(-bias / weights) : relative(bias / weights);
         if (std::abs(signedBias) > std::abs(report.bias)) report.bias = signedBias;
 
-        // The bound keeps the reference's noise in: the standard errors, which are taken off the
-        // estimate, err on the large side.
-        const double meanSquare = square / weights;
-        const double bound = upperMeanBound(squares, pointWeights, mOptions.confidence);
-        const double debiased = std::max(0.0, meanSquare - noise / weights);
+        // The bound keeps a single reference's noise in: the standard errors, which are taken off
+        // the estimate, err on the large side.
+        const double debiased = std::max(0.0, square / weights - noise / weights);
         report.relRmseDebiased = std::max(report.relRmseDebiased, relative(std::sqrt(debiased)));
-        report.upper = std::max(report.upper, relative(std::sqrt(bound)));
+        const double upper = mean > 0
+            ? std::sqrt(std::max(
+                0.0, upperRelativeSquare(squares, values, pointWeights, mOptions.confidence)))
+            : relative(std::sqrt(square / weights));
+        report.upper = std::max(report.upper, upper);
         return mean;
     }
 
@@ -262,8 +305,7 @@ private:
     const EvaluateOptions& mOptions;
     VolumeSampler mSampler;
     std::vector<Vec3f> mNormals;
-    ProbeEstimator mEstimator;
-    tbb::enumerable_thread_specific<ProbeEstimator::Workspace> mWorkspaces;
+    std::vector<std::unique_ptr<Reference>> mReferences; // one, or pairs of independent ones
     std::vector<Comparison> mComparisons;
 };
 

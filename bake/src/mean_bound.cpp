@@ -15,21 +15,25 @@ double normalQuantile(double p)
         / (1 + t * (1.432788 + t * (0.189269 + t * 0.001308)));
 }
 
-double upperMeanBound(
-    const std::vector<double>& weighted, const std::vector<double>& weights, double confidence)
+double upperRelativeSquare(const std::vector<double>& squares, const std::vector<double>& values,
+    const std::vector<double>& weights, double confidence)
 {
-    const double total = std::accumulate(weights.begin(), weights.end(), 0.0);
-    const double mean = std::accumulate(weighted.begin(), weighted.end(), 0.0) / total;
-    double second = 0, third = 0;
-    for (std::size_t i = 0; i < weighted.size(); ++i) {
-        const double d = weighted[i] - weights[i] * mean;
+    const auto sum
+        = [](const std::vector<double>& v) { return std::accumulate(v.begin(), v.end(), 0.0); };
+    const double total = sum(weights);
+    const double square = sum(squares) / total, mean = sum(values) / total;
+    const double ratio = square / (mean * mean);
+    double second = 0, third = 0; // of each draw's influence on the ratio
+    for (std::size_t i = 0; i < squares.size(); ++i) {
+        const double d = (squares[i] - weights[i] * square) / (mean * mean)
+            - 2 * ratio * (values[i] - weights[i] * mean) / mean;
         second += d * d;
         third += d * d * d;
     }
-    if (!(second > 0)) return mean;
+    if (!(second > 0)) return ratio;
     const double z = normalQuantile(confidence);
-    const double skewness = third / (second * std::sqrt(second)); // of the mean
-    return mean + std::sqrt(second) / total * (z + skewness * (2 * z * z + 1) / 6);
+    const double skewness = third / (second * std::sqrt(second)); // of the ratio
+    return ratio + std::sqrt(second) / total * (z + skewness * (2 * z * z + 1) / 6);
 }
 
 } // namespace lumivdb

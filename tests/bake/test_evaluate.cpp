@@ -75,6 +75,29 @@ TEST_CASE("an exact volume: no error but the reference's noise", "[evaluate]")
     CHECK(std::abs(finer.bias) < 0.002);
 }
 
+TEST_CASE("two references: their noise enters neither the error nor its bound", "[evaluate]")
+{
+    const auto tracer = makeTracer(constantSky());
+    EvaluateOptions o = options(400, 8);
+    o.twice = true;
+    SECTION("an exact volume: what is left is the spread of a mean over pairs")
+    {
+        const EvaluateReport r = evaluateVolume(constantVolume(1), *tracer, o);
+        CAPTURE(r.relRmse, r.relRmseDebiased, r.upper);
+        REQUIRE(r.relRmse > 0.03);
+        CHECK(r.relRmseDebiased < 0.5 * r.relRmse);
+        CHECK(r.upper < 0.7 * r.relRmse);
+    }
+    SECTION("a volume 10% too bright")
+    {
+        const EvaluateReport r = evaluateVolume(constantVolume(1.1), *tracer, o);
+        CAPTURE(r.relRmse, r.relRmseDebiased, r.upper);
+        // The mean over pairs of 2 · 0.1 · noise, as an error of the root: noise/√32.
+        CHECK(r.relRmseDebiased == Approx(0.1).margin(4 * r.referenceStderr / std::sqrt(32.0)));
+        CHECK(r.upper > r.relRmseDebiased);
+    }
+}
+
 TEST_CASE("a volume 10% too bright, or dark: that bias, that error", "[evaluate]")
 {
     const auto tracer = makeTracer(constantSky());

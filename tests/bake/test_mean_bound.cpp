@@ -47,7 +47,7 @@ Coverage coverage(int trials, int count, double sigma, bool weighed, double conf
         for (std::size_t i = 0; i < values.size(); ++i)
             variance += std::pow(values[i] - weights[i] * sum / total, 2);
         c.normal += sum / total + normalQuantile(confidence) * std::sqrt(variance) / total >= mean;
-        c.skew += upperMeanBound(values, weights, confidence) >= mean;
+        c.skew += upperRelativeSquare(values, weights, weights, confidence) >= mean;
     }
     return {c.normal / trials, c.skew / trials};
 }
@@ -63,9 +63,9 @@ TEST_CASE("quantiles of the normal distribution", "[mean_bound]")
 
 TEST_CASE("the bound of equal values is their value", "[mean_bound]")
 {
-    CHECK(upperMeanBound({2, 2, 2}, {1, 1, 1}, 0.95) == 2);
-    CHECK(upperMeanBound({2, 6, 1}, {1, 3, 0.5}, 0.95) == 2);
-    CHECK(upperMeanBound({0}, {1}, 0.95) == 0);
+    CHECK(upperRelativeSquare({2, 2, 2}, {1, 1, 1}, {1, 1, 1}, 0.95) == 2);
+    CHECK(upperRelativeSquare({2, 6, 1}, {2, 6, 1}, {1, 3, 0.5}, 0.95) == 0.5);
+    CHECK(upperRelativeSquare({0}, {1}, {1}, 0.95) == 0);
 }
 
 TEST_CASE("the bound holds about as often as it says", "[mean_bound]")
@@ -93,4 +93,28 @@ TEST_CASE("the bound holds about as often as it says", "[mean_bound]")
         CAPTURE(c.normal, c.skew);
         CHECK(c.skew > 0.95 - 0.014);
     }
+}
+
+TEST_CASE("the bound knows that the mean it is relative to is uncertain", "[mean_bound]")
+{
+    // The squares hardly spread, the irradiance does, by half of its mean.
+    constexpr int kTrials = 4000, kCount = 200;
+    const double confidence = 0.95;
+    int holds = 0, ignorant = 0;
+    for (int t = 0; t < kTrials; ++t) {
+        CounterRng rng(hashCombine(92, static_cast<std::uint64_t>(t)));
+        std::vector<double> squares, values, sure;
+        for (int i = 0; i < kCount; ++i) {
+            squares.push_back(1 + 0.2 * gaussian(rng));
+            values.push_back(2 + gaussian(rng));
+        }
+        const std::vector<double> weights(kCount, 1.0);
+        holds += upperRelativeSquare(squares, values, weights, confidence) >= 0.25;
+        double mean = 0;
+        for (const double v : values) mean += v / kCount;
+        sure.assign(kCount, mean);
+        ignorant += upperRelativeSquare(squares, sure, weights, confidence) >= 0.25;
+    }
+    CHECK(static_cast<double>(holds) / kTrials == Approx(confidence).margin(0.014));
+    CHECK(static_cast<double>(ignorant) / kTrials < 0.8);
 }

@@ -151,6 +151,10 @@ struct EvaluateOptions {
     int maxBounces = -1;
     std::vector<Vec3d> givenPoints; ///< used instead of random ones when not empty
     std::vector<double> weights; ///< one per given point, where they were not drawn evenly
+    /// The reference is the mean of two independent ones of `rays` each, whose noise, known from
+    /// their difference, does not enter EvaluateReport::upper: few rays at many points then bound
+    /// the error as well as they can.
+    bool twice = false;
     double confidence = 0.95; ///< of EvaluateReport::upper, one-sided
     int threads = 0;
     void validate() const;
@@ -158,8 +162,8 @@ struct EvaluateOptions {
 
 struct EvaluateReport {
     double relRmse = 0; ///< sqrt(mean |E−E_ref|²)/mean(E_ref), worst channel
-    /// relRmse with the reference's noise taken off; and an upper bound of relRmse, noise and all,
-    /// at the options' confidence, from the spread over the points.
+    /// relRmse with the reference's noise taken off; and an upper bound of relRmse at the options'
+    /// confidence, from the spread over the points, noise and all unless `twice`.
     double relRmseDebiased = 0, upper = 0;
     double p50 = 0, p95 = 0, p99 = 0, max = 0; ///< of |E−E_ref|/mean(E_ref), worst channel each
     double bias = 0; ///< mean(E−E_ref)/mean(E_ref), channel of largest magnitude
