@@ -2,16 +2,18 @@
 #include <lumivdb/bake/bake.h>
 #include <lumivdb/bake/radiance_cache.h>
 
+#include "own_estimator.h"
+
 #include <lumivdb/core/error.h>
 #include <lumivdb/core/random.h>
 #include <lumivdb/core/volume.h>
 
-#include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <memory>
 
 namespace lumivdb {
 
@@ -42,10 +44,10 @@ public:
             o.seed
                 = hashCombine(mixBits(probe.seed ^ kBiasStream), static_cast<std::uint64_t>(half));
             o.rays = options.cachedRays;
-            mCached[half].emplace(tracer, o);
+            mCached[half] = std::make_unique<OwnEstimator>(tracer, o);
             o.cache = nullptr;
             o.rays = options.pathRays;
-            mPath[half].emplace(tracer, o);
+            mPath[half] = std::make_unique<OwnEstimator>(tracer, o);
         }
     }
 
@@ -56,12 +58,12 @@ public:
             // Random numbers in common would hide noise.
             const auto own = [&](std::uint64_t i) { return hashCombine(key, i); };
             const auto h = static_cast<std::uint64_t>(half);
-            ProbeResult r = mCached[half].irradiance(p, mNormals, own(h));
+            ProbeResult r = mCached[half]->irradiance(p, mNormals, own(h));
             pair.free = r.validity >= kValidThreshold;
             pair.rays += r.rays;
             if (!pair.free) return pair;
             pair.cached[half] = std::move(r.value);
-            r = mPath[half].irradiance(p, mNormals, own(h + 2));
+            r = mPath[half]->irradiance(p, mNormals, own(h + 2));
             pair.rays += r.rays;
             pair.path[half] = std::move(r.value);
         }
@@ -69,21 +71,8 @@ public:
     }
 
 private:
-    /// An estimator with scratch of its own: that belongs to one estimator and thread.
-    struct Estimator {
-        void emplace(const Tracer& tracer, const ProbeOptions& options)
-        {
-            estimator = std::make_unique<ProbeEstimator>(tracer, options);
-        }
-        ProbeResult irradiance(const Vec3d& p, const std::vector<Vec3f>& normals, std::uint64_t key)
-        {
-            return estimator->irradiance(p, normals, key, workspaces.local());
-        }
-        std::unique_ptr<ProbeEstimator> estimator;
-        tbb::enumerable_thread_specific<ProbeEstimator::Workspace> workspaces;
-    };
     std::vector<Vec3f> mNormals;
-    Estimator mPath[2], mCached[2];
+    std::unique_ptr<OwnEstimator> mPath[2], mCached[2];
 };
 
 /// Of one channel: squares and sums of differences, by point.

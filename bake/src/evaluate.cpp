@@ -5,9 +5,9 @@
 #include <lumivdb/core/random.h>
 
 #include "mean_bound.h"
+#include "own_estimator.h"
 #include "threads.h"
 
-#include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
@@ -16,6 +16,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <memory>
 
 namespace lumivdb {
 
@@ -37,23 +38,6 @@ struct Comparison {
 /// `twice` are spread over so many pairs.
 constexpr std::uint64_t kPairs = 32;
 
-/// An estimator with scratch of its own, by thread.
-class Reference {
-public:
-    Reference(const Tracer& tracer, const ProbeOptions& options)
-        : mEstimator(tracer, options)
-    {
-    }
-    ProbeResult irradiance(const Vec3d& p, const std::vector<Vec3f>& normals, std::uint64_t key)
-    {
-        return mEstimator.irradiance(p, normals, key, mWorkspaces.local());
-    }
-
-private:
-    ProbeEstimator mEstimator;
-    tbb::enumerable_thread_specific<ProbeEstimator::Workspace> mWorkspaces;
-};
-
 enum class Fate { Compared, InsideGeometry, OutsideVolume, NotFinite };
 
 class Evaluator {
@@ -68,7 +52,7 @@ public:
         for (std::uint64_t i = 0; i < count; ++i) {
             ProbeOptions o = probeOptions(options);
             if (i > 0) o.seed = hashCombine(o.seed, i);
-            mReferences.push_back(std::make_unique<Reference>(tracer, o));
+            mReferences.push_back(std::make_unique<OwnEstimator>(tracer, o));
         }
     }
 
@@ -305,7 +289,7 @@ private:
     const EvaluateOptions& mOptions;
     VolumeSampler mSampler;
     std::vector<Vec3f> mNormals;
-    std::vector<std::unique_ptr<Reference>> mReferences; // one, or pairs of independent ones
+    std::vector<std::unique_ptr<OwnEstimator>> mReferences; // one, or pairs of independent ones
     std::vector<Comparison> mComparisons;
 };
 
