@@ -15,6 +15,8 @@ namespace lumivdb {
 
 namespace {
 
+/// Patches are near within this many of their sides: one then fills 4% of the view or more.
+constexpr float kNearPatches = 1;
 constexpr float kPi = 3.14159265358979323846f;
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 constexpr double kUniformPdf = 1 / (4 * 3.14159265358979323846);
@@ -240,6 +242,7 @@ void PathTracer::startPaths(const Vec3f& p, const ProbeStratum* strata, std::uin
         }
         if (maxComponent(s.albedo) <= 0) continue;
         path.throughput = Color(1.0f);
+        path.distance = result.hits.t[i];
         path.stratum = i;
         path.rng = CounterRng(hashCombine(key, first + static_cast<std::uint64_t>(i)));
         ++mPathCount;
@@ -258,20 +261,34 @@ void PathTracer::addUnoccluded(PathBatchResult& result)
 
 /// Reflected light at the surfaces seen, from the cache, and straight from the emitters where the
 /// cache leaves that out: found by both strategies, but nothing goes on from what a ray meets.
+/// Where the first surface is so near that a few patches fill the view, their error would be the
+/// place's: it is gathered by a path of one more surface.
 void PathTracer::lookUp(PathBatchResult& result)
 {
-    int mixed = 0;
-    for (int j = 0; j < mPathCount; ++j) {
-        const SurfacePoint& s = mPaths[j].surface;
-        const RadianceCache::Light light = mOptions.cache->at(s.triangle, s.u, s.v, s.behind);
-        result.uniform[mPaths[j].stratum] += s.albedo * light.irradiance * (1 / kPi);
-        if (light.mixed) mPaths[mixed++] = mPaths[j];
+    for (int bounce = 1; mPathCount > 0; ++bounce) {
+        int kept = 0;
+        for (int j = 0; j < mPathCount; ++j) {
+            Path& path = mPaths[j];
+            const SurfacePoint& s = path.surface;
+            const RadianceCache::Light light = mOptions.cache->at(s.triangle, s.u, s.v, s.behind);
+            // One surface more would be one reflection too many where they are counted.
+            path.goesOn = bounce == 1 && mOptions.maxBounces < 0
+                && path.distance < kNearPatches * light.extent;
+            if (!path.goesOn) {
+                result.uniform[path.stratum]
+                    += path.throughput * s.albedo * light.irradiance * (1 / kPi);
+            }
+            if (path.goesOn || light.mixed) mPaths[kept++] = path;
+        }
+        mPathCount = kept;
+        if (kept == 0) return;
+        reflectFromEmitters(result);
+        reflectFromPunctual(result);
+        scatter(bounce, result);
+        const Path* const end = std::remove_if(
+            mPaths, mPaths + mPathCount, [](const Path& path) { return !path.goesOn; });
+        mPathCount = static_cast<int>(end - mPaths);
     }
-    mPathCount = mixed;
-    if (mixed == 0) return;
-    reflectFromEmitters(result);
-    reflectFromPunctual(result);
-    scatter(1, result);
 }
 
 void PathTracer::gather(
@@ -424,6 +441,7 @@ void PathTracer::follow(PathBatchResult& result, bool markBacks)
         next.distance = mNextHits.t[j];
         next.throughput = path.throughput;
         next.stratum = path.stratum;
+        next.goesOn = path.goesOn;
         next.rng = path.rng;
     }
 }

@@ -444,10 +444,11 @@ private:
 
     void finish(std::vector<RadianceCache::Light>& light)
     {
-        light.assign(mPatches->size(), {Color(0.0f), false});
+        light.assign(mPatches->size(), {Color(0.0f), 0, false});
         for (std::size_t r = 0; r < mIds.size(); ++r) {
             const bool mixed = mMixed[r] != 0;
-            light[mIds[r]] = {mixed ? mLight[r] - mDirect[r] : mLight[r], mixed};
+            light[mIds[r]]
+                = {mixed ? mLight[r] - mDirect[r] : mLight[r], mPatches->extent(mIds[r]), mixed};
             mReport.mixed += mixed ? 1 : 0;
         }
         mReport.patches = mIds.size();
@@ -519,7 +520,7 @@ std::uint32_t RadianceCache::patchAt(std::uint32_t triangle, float u, float v, b
 RadianceCache::Light RadianceCache::at(std::uint32_t triangle, float u, float v, bool behind) const
 {
     const SurfacePatches::Id id = patchAt(triangle, u, v, behind);
-    return id == SurfacePatches::kNone ? Light{Color(0.0f), false} : mImpl->light[id];
+    return id == SurfacePatches::kNone ? Light{Color(0.0f), 0, false} : mImpl->light[id];
 }
 
 } // namespace lumivdb

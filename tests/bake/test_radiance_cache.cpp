@@ -434,6 +434,21 @@ TEST_CASE(
     CHECK(bakeVolume(*tracer, options).report.integrator == Integrator::Cached);
 }
 
+TEST_CASE("A surface before the eyes is seen as it is, not as its patch", "[radiance_cache]")
+{
+    // A millimetre off a wall of patches of more than a metre, which light climbs steeply.
+    const auto tracer = makeTracer(room());
+    const Vec3d p(0.001, 2.8, 2);
+    const Vec3f n(-1, 0, 0);
+    const Estimate cached = cachedIrradiance(*tracer, p, n, -1, 64);
+    const Estimate path = pathIrradiance(*tracer, p, n, -1);
+    CAPTURE(cached.mean, cached.error, path.mean, path.error);
+    // One reflection later their errors have gone into a mean; at the wall itself, they spread by
+    // 1.5% over solutions and lie 4% below.
+    CHECK(std::abs(cached.mean - path.mean) < 4 * path.error + 0.01 * path.mean);
+    CHECK(cached.error < 0.005 * path.mean);
+}
+
 TEST_CASE("The bias that is measured is the light that a cache lacks", "[radiance_cache]")
 {
     // A cache of one bounce against all of them: 1 + 1/2 of 2 in a furnace of albedo 1/2.
@@ -443,8 +458,9 @@ TEST_CASE("The bias that is measured is the light that a cache lacks", "[radianc
     ProbeOptions probe;
     probe.cache = std::make_shared<const RadianceCache>(*tracer, cache);
     Progress silent;
+    // Away from the walls: near ones are gathered by a path of one more surface.
     const CacheBias bias
-        = measureCacheBias(*tracer, probe, Box3d(Vec3d(0.0), Vec3d(1.0)), {}, silent);
+        = measureCacheBias(*tracer, probe, Box3d(Vec3d(0.2), Vec3d(0.8)), {}, silent);
     INFO("rms " << bias.rms << ", at most " << bias.upper << ", mean " << bias.mean << " ± "
                 << bias.meanStderr);
     CHECK(bias.points == 64);

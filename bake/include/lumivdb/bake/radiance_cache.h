@@ -19,6 +19,10 @@
 /// changes in the smallest ones (edges of shadows and of sunlight), the cache keeps reflected light
 /// alone and probes look for direct light at each place they see, as a path would.
 ///
+/// Where a probe sees a surface from nearer than the patch's longest side, the patch's error would
+/// be the probe's: from there a path goes on by one more surface (not where reflections are
+/// counted).
+///
 /// Biased: light is constant over a patch, and the noise of the solution is common to all probes.
 /// measureCacheBias() tells how much.
 
@@ -97,6 +101,7 @@ public:
     /// Light at a place of a triangle's side (Tracer::Impl's numbers), over the patch it lies in.
     struct Light {
         Color irradiance; ///< without what arrives straight from emitters and lights where `mixed`
+        float extent; ///< of the patch: its longest side, local units
         bool mixed;
     };
     Light at(std::uint32_t triangle, float u, float v, bool behind) const;
