@@ -114,7 +114,7 @@ private:
         Color throughput;
         float distance; ///< of the surface from where the path came
         int stratum;
-        bool goesOn; ///< of a path that the cache ends: after this surface
+        bool goesOn = false; ///< of a path that the cache ends: after this surface
         CounterRng rng{0};
     };
     void sampleEmittersAtProbe(
