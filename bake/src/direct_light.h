@@ -33,6 +33,12 @@ struct DirectLight {
     {
         return samples() > 0 ? (sum[0] + sum[1] + sum[2] + sum[3]) / samples() : 0;
     }
+    double variance() const ///< of one sample
+    {
+        const double n = samples(), m = mean();
+        const double square = squares[0] + squares[1] + squares[2] + squares[3];
+        return n > 1 ? std::max(0.0, square / n - m * m) * n / (n - 1) : 0;
+    }
     /// Difference between the brightest quarter and the darkest, two standard errors taken off.
     double contrast() const
     {

@@ -17,6 +17,10 @@ namespace {
 
 /// Patches are near within this many of their sides: one then fills 4% of the view or more.
 constexpr float kNearPatches = 1;
+/// Rays of gather() that look how open a place is.
+constexpr int kLooks = 2;
+/// Step of a Kronecker sequence in the plane (Roberts' R2).
+const Vec2d kR2(0.7548776662466927, 0.5698402909980532);
 constexpr float kPi = 3.14159265358979323846f;
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 constexpr double kUniformPdf = 1 / (4 * 3.14159265358979323846);
@@ -32,6 +36,7 @@ constexpr float kLongPathSurvival = 0.999f;
 /// Shadow rays stop this much short of the light, in their length: Embree's distances round.
 constexpr float kShadowEnd = 1 - 0x1p-17f;
 
+double fraction(double x) { return x - std::floor(x); }
 float maxComponent(const Color& c) { return std::max({c.x, c.y, c.z}); }
 
 /// Cosine-distributed direction about unit @a n, unit to rounding (Malley; frame of Duff et al.,
@@ -291,8 +296,8 @@ void PathTracer::lookUp(PathBatchResult& result)
     }
 }
 
-void PathTracer::gather(
-    const SurfacePoint* points, const GatherDraw* draws, int count, PathBatchResult& result)
+void PathTracer::gather(const SurfacePoint* points, const GatherDraw* draws, int count,
+    int emitterSamples, PathBatchResult& result)
 {
     mPathCount = count;
     result.traced = 0;
@@ -307,7 +312,9 @@ void PathTracer::gather(
     }
     reflectFromPunctual(result);
     std::copy_n(result.uniform, count, result.emitter);
-    reflectFromEmitters(result, draws);
+    mEmitterSamples = emitterSamples;
+    for (int i = 0; i < emitterSamples; ++i) reflectFromEmitters(result, draws, i);
+    lookAround(points, draws, count, result);
     mNext.count = 0;
     for (int i = 0; i < count; ++i) {
         const Vec3f d = cosineDirection(points[i].normal, draws[i].square.x, draws[i].square.y);
@@ -315,22 +322,49 @@ void PathTracer::gather(
     }
     intersectCoherent(mImpl, mNext, mNextHits);
     follow(result, true);
+    mEmitterSamples = 1;
     mSeen.clear();
     for (int j = 0; j < mPathCount; ++j) {
         mSeen.push_back({mPaths[j].surface, mPaths[j].stratum, mPaths[j].distance});
     }
 }
 
-void PathTracer::reflectFromEmitters(PathBatchResult& result, const GatherDraw* draws)
+void PathTracer::lookAround(
+    const SurfacePoint* points, const GatherDraw* draws, int count, PathBatchResult& result)
+{
+    std::fill_n(result.open, count, 1.0f);
+    for (int number = 0; number < kLooks; ++number) {
+        mShadow.count = 0;
+        for (int i = 0; i < count; ++i) {
+            if (!(draws[i].reach > 0)) continue;
+            const Vec2d at = draws[i].around + kR2 * number;
+            const Vec3f d = cosineDirection(points[i].normal, static_cast<float>(fraction(at.x)),
+                static_cast<float>(fraction(at.y)));
+            mShadowStratum[mShadow.count] = i;
+            mShadow.push(points[i].leaving(), d, draws[i].reach);
+        }
+        occludeScattered(mImpl, mShadow, mOccluded);
+        note(mShadow, true);
+        result.traced += static_cast<std::uint64_t>(mShadow.count);
+        for (int j = 0; j < mShadow.count; ++j) {
+            if (mOccluded[j]) result.open[mShadowStratum[j]] -= 1.0f / kLooks;
+        }
+    }
+}
+
+void PathTracer::reflectFromEmitters(PathBatchResult& result, const GatherDraw* draws, int number)
 {
     if (mImpl.emitters.empty()) return;
     mShadow.count = 0;
     double t[kBatch], u[kBatch], v[kBatch];
+    // Samples of one surface: strata of the choice, a Kronecker sequence over the emitter.
+    const double share = number / static_cast<double>(mEmitterSamples);
+    const Vec2d step = kR2 * number;
     for (int j = 0; j < mPathCount; ++j) {
         CounterRng& rng = mPaths[j].rng;
-        t[j] = draws ? draws[j].emitter.x : rng.nextDouble();
-        u[j] = draws ? draws[j].emitter.y : rng.nextDouble();
-        v[j] = draws ? draws[j].emitter.z : rng.nextDouble();
+        t[j] = draws ? fraction(draws[j].emitter.x + share) : rng.nextDouble();
+        u[j] = draws ? fraction(draws[j].emitter.y + step.x) : rng.nextDouble();
+        v[j] = draws ? fraction(draws[j].emitter.z + step.y) : rng.nextDouble();
         mImpl.emitters.prefetch(mPaths[j].surface.receiver(), t[j]);
     }
     std::int64_t texel[kBatch]; // of the sky
@@ -357,10 +391,10 @@ void PathTracer::pushReflected(const Path& path, const EmitterSample& e)
     const SurfacePoint& s = path.surface;
     const float cosine = s.normal.dot(e.direction);
     if (!(e.pdf > 0) || !(cosine > 0)) return;
-    // f cos / (p_emitter + p_cosine): balance heuristic against the cosine sample of scatter(),
-    // whose density is cos / π.
+    // f cos / (n p_emitter + p_cosine): balance heuristic of n such samples and the cosine sample
+    // of scatter(), whose density is cos / π.
     mShadowValue[mShadow.count] = path.throughput * s.albedo * e.radiance
-        * static_cast<float>(cosine / (e.pdf * kPi + cosine));
+        * static_cast<float>(cosine / (mEmitterSamples * e.pdf * kPi + cosine));
     mShadowStratum[mShadow.count] = path.stratum;
     pushShadow(mShadow, s.leaving(), e);
 }
@@ -419,8 +453,9 @@ void PathTracer::follow(PathBatchResult& result, bool markBacks)
         Path& path = mPaths[j];
         const Vec3f d = mNext.direction(j);
         const double cosinePdf = std::max(0.0f, path.surface.normal.dot(d)) / kPi;
-        const auto weight
-            = [&](double pdf) { return static_cast<float>(cosinePdf / (cosinePdf + pdf)); };
+        const auto weight = [&](double pdf) {
+            return static_cast<float>(cosinePdf / (cosinePdf + mEmitterSamples * pdf));
+        };
         if (!(cosinePdf > 0)) continue;
         if (mNextHits.triangle[j] == kMiss) {
             const Environment::Arrival light = background(mImpl, path.surface.receiver(), d);

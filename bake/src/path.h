@@ -38,6 +38,7 @@ struct PathBatchResult {
     InversePlane plane[kBatch], emitterPlane[kBatch];
     bool wantPlanes = true; ///< set before: false leaves them as they are
     bool backFace[kBatch];
+    float open[kBatch]; ///< of gather() alone
     std::uint64_t traced = 0; ///< rays, shadow rays included
 };
 
@@ -63,7 +64,9 @@ std::vector<ProbeStratum> probeStrata(const Tracer::Impl& impl, const ProbeOptio
 /// The random numbers of one of PathTracer::gather()'s points.
 struct GatherDraw {
     Vec2f square; ///< of the cosine-distributed ray (Malley's map)
-    Vec3d emitter; ///< which emitter, and the place on it
+    Vec3d emitter; ///< which emitter, and the place on it; more of them follow from it
+    Vec2d around; ///< of cosine-distributed rays that end at reach, see gather()
+    float reach = 0; ///< 0: there is none
     std::uint64_t key; ///< of all others
 };
 
@@ -86,12 +89,13 @@ public:
         std::uint64_t key, PathBatchResult& result);
 
     /// For each of @a points one sample of the light it receives: result.uniform[i] is what arrives
-    /// straight from emitters and lights, E/π, result.emitter[i] the lights' (punctual) part of it,
-    /// result.backFace[i] that its ray met the back of a single-sided surface (the point probably
-    /// lies inside of a solid), and what a cosine-distributed ray met is among seen(), in order.
-    /// count ≤ kBatch.
-    void gather(
-        const SurfacePoint* points, const GatherDraw* draws, int count, PathBatchResult& result);
+    /// straight from emitters and lights, E/π, by @a emitterSamples of them and the cosine-
+    /// distributed ray, result.emitter[i] the lights' (punctual) part of it, result.backFace[i]
+    /// that its ray met the back of a single-sided surface (the point probably lies inside of a
+    /// solid), and what that ray met is among seen(), in order. result.open[i]: the share of a few
+    /// other such rays that meet nothing within the draw's reach. count ≤ kBatch.
+    void gather(const SurfacePoint* points, const GatherDraw* draws, int count, int emitterSamples,
+        PathBatchResult& result);
     /// What the rays of gather() met and reflects light: the point it came from, and where it met.
     struct Seen {
         SurfacePoint surface;
@@ -121,8 +125,12 @@ private:
         const Vec3f& p, const ProbeStratum* strata, int count, PathBatchResult& result);
     void startPaths(const Vec3f& p, const ProbeStratum* strata, std::uint64_t first, int count,
         std::uint64_t key, PathBatchResult& result);
-    /// @a draws gives the numbers that choose emitters, else the paths' own do.
-    void reflectFromEmitters(PathBatchResult& result, const GatherDraw* draws = nullptr);
+    /// @a draws gives the numbers that choose emitter @a number of mEmitterSamples, else the paths'
+    /// own do.
+    void reflectFromEmitters(
+        PathBatchResult& result, const GatherDraw* draws = nullptr, int number = 0);
+    void lookAround(
+        const SurfacePoint* points, const GatherDraw* draws, int count, PathBatchResult& result);
     void pushReflected(const Path& path, const EmitterSample& e);
     void reflectFromPunctual(PathBatchResult& result);
     void scatter(int bounce, PathBatchResult& result);
@@ -137,6 +145,7 @@ private:
     const std::vector<ProbeStratum>* mStrata;
     std::vector<RecordedRay>* mRecorder = nullptr;
 
+    int mEmitterSamples = 1; ///< at each surface
     ProbeStratum mOwnStrata[kBatch];
     Path mPaths[kBatch];
     int mPathCount = 0;

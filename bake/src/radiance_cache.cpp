@@ -39,8 +39,13 @@ constexpr double kViewNearness = 1 / 8.0;
 /// A patch that one of them meets sends as many rays as this share of a patch of full size.
 constexpr double kViewShare = 1 / 4.0;
 constexpr int kMaxIterations = 10000;
+/// Places of a patch count by how much of their view is free for so many of its sides.
+constexpr float kOpenPatches = 3;
+/// Emitter samples at a place, per deviation of direct light over its mean, and at most.
+constexpr double kEmitterSamples = 4;
+constexpr int kMostEmitterSamples = 8;
 
-/// A patch's light comes from @a patch, times albedo in 1/65535.
+/// A patch's light comes from @a patch, times albedo and the place's weight in 1/65535.
 struct Link {
     std::uint32_t patch;
     std::uint16_t albedo[3];
@@ -61,9 +66,9 @@ struct Worker {
     GatherDraw draws[kBatch];
     std::uint64_t rays = 0;
 
-    void gather(int count)
+    void gather(int count, int emitterSamples)
     {
-        paths->gather(points, draws, count, *batch);
+        paths->gather(points, draws, count, emitterSamples, *batch);
         rays += batch->traced;
     }
 };
@@ -147,7 +152,7 @@ private:
                     place(ids[i], rays(i), count, *worker);
                     count += rays(i);
                 }
-                worker->gather(count);
+                worker->gather(count, mEmitterSamples);
                 auto seen = worker->paths->seen().begin();
                 count = 0;
                 for (std::size_t k = first; k < i; ++k) {
@@ -184,6 +189,9 @@ private:
             w.points[first + k] = mPatches->sample(id, square, static_cast<float>(x[2]));
             w.draws[first + k].square = Vec2f(hilbertPoint((k + rng.nextDouble()) / rays));
             w.draws[first + k].emitter = Vec3d(x[3], x[4], x[5]);
+            w.draws[first + k].around.x = rng.nextDouble();
+            w.draws[first + k].around.y = rng.nextDouble();
+            w.draws[first + k].reach = mReach * mPatches->extent(id);
             w.draws[first + k].key = hashCombine(key, static_cast<std::uint64_t>(k));
             for (int d = 0; d < kDimensions; ++d) {
                 x[d] += step[d];
@@ -282,12 +290,17 @@ private:
 
     void meanDirect(const std::vector<Id>& ids, const std::vector<DirectLight>& direct)
     {
-        double sum = 0, area = 0;
+        double sum = 0, area = 0, variance = 0;
         for (std::size_t i = 0; i < ids.size(); ++i) {
             sum += mPatches->area(ids[i]) * direct[i].mean();
             area += mPatches->area(ids[i]);
+            variance += mPatches->area(ids[i]) * direct[i].variance();
         }
-        mSceneMean = area > 0 ? sum / area : 0;
+        if (!(sum > 0)) return;
+        mSceneMean = sum / area;
+        mEmitterSamples = std::clamp(
+            static_cast<int>(kEmitterSamples * std::sqrt(variance / area) / mSceneMean), 1,
+            kMostEmitterSamples);
     }
 
     Id patchOf(const SeenPlace& n) const { return mPatches->find(n.triangle, n.u, n.v, n.behind); }
@@ -331,11 +344,12 @@ private:
     void gather()
     {
         mIds = undivided();
+        mReach = kOpenPatches;
         mRow.assign(mPatches->size(), 0);
         for (std::size_t i = 0; i < mIds.size(); ++i) mRow[mIds[i]] = static_cast<std::uint32_t>(i);
         mDirect.assign(mIds.size(), Color(0.0f));
         mMixed.assign(mIds.size(), 0);
-        mCount.assign(mIds.size(), 0);
+        mWeight.assign(mIds.size(), 0);
         mFirstLink.assign(mIds.size() + 1, 0);
         for (std::size_t i = 0; i < mIds.size(); ++i) {
             mFirstLink[i + 1] = mFirstLink[i] + static_cast<std::size_t>(raysOf(mIds[i]));
@@ -343,29 +357,44 @@ private:
         mLinks.assign(mFirstLink.back(), Link{0, {0, 0, 0}});
         const auto rays = [&](std::size_t i) { return raysOf(mIds[i]); };
         sample(mIds, rays, [&](std::size_t i, Worker& w, int at, auto seen, auto end) {
+            const std::vector<float> weights = weightsOf(w, at, rays(i));
             Color sum(0.0f);
-            int buried = 0;
-            for (int k = at; k < at + rays(i); ++k) {
-                if (w.batch->backFace[k])
-                    ++buried;
-                else
-                    sum += w.batch->uniform[k];
+            for (int k = 0; k < rays(i); ++k) {
+                const float weight = weights[static_cast<std::size_t>(k)];
+                sum += w.batch->uniform[at + k] * weight;
+                mWeight[i] += weight;
             }
-            mCount[i] = static_cast<float>(rays(i) - buried);
-            if (buried < rays(i)) mDirect[i] = sum * (kPi / mCount[i]);
+            if (mWeight[i] > 0) mDirect[i] = sum * (kPi / mWeight[i]);
             mMixed[i] = directOf(mIds[i], at, rays(i), w).changes(mSceneMean);
             for (; seen != end; ++seen) {
                 const SurfacePoint& p = seen->surface;
                 const Id id = mPatches->find(p.triangle, p.u, p.v, p.behind);
+                const auto from = static_cast<std::size_t>(seen->from - at);
                 if (id == SurfacePatches::kNone) continue;
-                Link& link = mLinks[mFirstLink[i] + static_cast<std::size_t>(seen->from - at)];
+                Link& link = mLinks[mFirstLink[i] + from];
                 link.patch = mRow[id];
                 for (int c = 0; c < 3; ++c) {
-                    link.albedo[c]
-                        = static_cast<std::uint16_t>(std::lround(p.albedo[c] * 65535.0f));
+                    link.albedo[c] = static_cast<std::uint16_t>(
+                        std::lround(p.albedo[c] * weights[from] * 65535.0f));
                 }
             }
         });
+    }
+
+    /// What the places of a patch count: nothing inside solids, elsewhere as much as they lie open.
+    /// What looks at the patch from afar sees little of those that something hides, as the light
+    /// goes both ways. Where all are hidden, all count alike.
+    static std::vector<float> weightsOf(const Worker& w, int first, int count)
+    {
+        std::vector<float> open(static_cast<std::size_t>(count)), outside = open;
+        float sum = 0;
+        for (int k = 0; k < count; ++k) {
+            const auto i = static_cast<std::size_t>(k);
+            outside[i] = w.batch->backFace[first + k] ? 0.0f : 1.0f;
+            open[i] = outside[i] * w.batch->open[first + k];
+            sum += open[i];
+        }
+        return sum > 0 ? open : outside;
     }
 
     int scoutsOf(Id id) const
@@ -388,7 +417,7 @@ private:
             const Color& e = light[link.patch];
             for (int c = 0; c < 3; ++c) sum[c] += static_cast<float>(link.albedo[c]) * e[c];
         }
-        return sum * (1 / (65535.0f * std::max(mCount[row], 1.0f)));
+        return mWeight[row] > 0 ? sum * (1 / (65535.0f * mWeight[row])) : Color(0.0f);
     }
 
     void iterate()
@@ -464,6 +493,8 @@ private:
     Progress* mProgress;
     SurfacePatches* mPatches = nullptr;
     double mSize = 0, mSceneMean = 0;
+    int mEmitterSamples = 1;
+    float mReach = 0; ///< of the rays that look what hides a place, in sides of its patch
     std::vector<SeenPlace> mViews; ///< from the probes' box
     std::vector<std::uint32_t> mViewsOf; ///< their number, by patch
     std::vector<SeenPlace> mNear; ///< what scouts met near
@@ -472,7 +503,7 @@ private:
     std::vector<std::uint32_t> mRow; ///< by patch
     std::vector<Color> mDirect, mLight; ///< by row
     std::vector<std::uint8_t> mMixed;
-    std::vector<float> mCount; ///< rays that count, by row
+    std::vector<float> mWeight; ///< of all its places, by row
     std::vector<std::size_t> mFirstLink; ///< by row; one more at the end
     std::vector<Link> mLinks;
 };

@@ -2,7 +2,7 @@
 //
 // The cached integrator against closed forms and against path tracing. Its noise is common to all
 // probes of one solution, so tolerances come from the spread over solutions with several seeds.
-#include "../../bake/src/tracer_impl.h"
+#include "../../bake/src/path.h"
 #include "bake_makers.h"
 
 #include <lumivdb/bake/radiance_cache.h>
@@ -447,6 +447,70 @@ TEST_CASE("A surface before the eyes is seen as it is, not as its patch", "[radi
     // 1.5% over solutions and lie 4% below.
     CHECK(std::abs(cached.mean - path.mean) < 4 * path.error + 0.01 * path.mean);
     CHECK(cached.error < 0.005 * path.mean);
+}
+
+TEST_CASE(
+    "More emitter samples at a place bring the same light with less noise", "[radiance_cache]")
+{
+    // A floor at the foot of a high wall sees half of a constant sky: E/pi = 1/2.
+    Scene scene;
+    const int black = addMaterial(scene, Color(0.0f), Color(0.0f), true);
+    addQuad(scene, black, Vec3d(-1e3, 0, -1e3), Vec3d(0, 0, 2e3), Vec3d(2e3, 0, 0));
+    addQuad(scene, black, Vec3d(0, -1e3, -1e3), Vec3d(0, 0, 2e3), Vec3d(0, 2e3, 0));
+    scene.environment = Environment::constant(Color(1.0f));
+    const auto tracer = makeTracer(std::move(scene));
+    const SurfacePoint floor = tracer->impl().surfaceAt(0, 0.1f, 0.4998f, Vec3f(0, -1, 0));
+    REQUIRE(floor.normal.y > 0.9f);
+    const ProbeOptions options;
+    const auto paths = std::make_unique<PathTracer>(tracer->impl(), options);
+    const auto batch = std::make_unique<PathBatchResult>();
+    const auto spread = [&](int emitterSamples) {
+        constexpr int kBatches = 64;
+        std::vector<double> values;
+        CounterRng rng(static_cast<std::uint64_t>(emitterSamples));
+        for (int b = 0; b < kBatches; ++b) {
+            std::vector<SurfacePoint> points(kBatch, floor);
+            std::vector<GatherDraw> draws(kBatch);
+            for (GatherDraw& d : draws) {
+                const auto number = [&] { return static_cast<float>(rng.nextDouble()); };
+                d.square = Vec2f(number(), number());
+                d.emitter = Vec3d(rng.nextDouble(), rng.nextDouble(), rng.nextDouble());
+                d.key = rng.bits();
+            }
+            paths->gather(points.data(), draws.data(), kBatch, emitterSamples, *batch);
+            for (int i = 0; i < kBatch; ++i) values.push_back(double(batch->uniform[i].x));
+        }
+        const auto n = static_cast<double>(values.size());
+        double mean = 0, variance = 0;
+        for (const double v : values) mean += v / n;
+        for (const double v : values) variance += (v - mean) * (v - mean) / n;
+        CAPTURE(emitterSamples, mean, variance);
+        CHECK(std::abs(mean - 0.5) < 4 * std::sqrt(variance / n));
+        return variance;
+    };
+    const double one = spread(1);
+    CHECK(spread(5) < 0.7 * one);
+}
+
+TEST_CASE("What slats hide of a floor does not darken what shows between them", "[radiance_cache]")
+{
+    // Half of the floor lies under black slats, all of them narrower than its patches. What is seen
+    // of it from above has all of the sky, less what the slats' edges take: within 5%.
+    Scene scene;
+    const int floor = addMaterial(scene, Color(0.5f), Color(0.0f), false);
+    const int black = addMaterial(scene, Color(0.0f), Color(0.0f), true);
+    addQuad(scene, floor, Vec3d(-4, 0, -4), Vec3d(0, 0, 8), Vec3d(8, 0, 0));
+    for (int i = 0; i < 80; ++i) {
+        addQuad(scene, black, Vec3d(-4 + 0.1 * i, 0.01, -4), Vec3d(0, 0, 8), Vec3d(0.05, 0, 0));
+    }
+    scene.environment = Environment::constant(Color(1.0f));
+    const auto tracer = makeTracer(std::move(scene));
+    const Vec3d p(0.013, 2, 0.017);
+    const Vec3f down(0, -1, 0);
+    const Estimate cached = cachedIrradiance(*tracer, p, down, -1, 64);
+    const Estimate path = pathIrradiance(*tracer, p, down, -1);
+    CAPTURE(cached.mean, cached.error, path.mean, path.error);
+    CHECK(std::abs(cached.mean - path.mean) < 4 * (cached.error + path.error) + 0.05 * path.mean);
 }
 
 TEST_CASE("The bias that is measured is the light that a cache lacks", "[radiance_cache]")

@@ -19,6 +19,10 @@
 /// changes in the smallest ones (edges of shadows and of sunlight), the cache keeps reflected light
 /// alone and probes look for direct light at each place they see, as a path would.
 ///
+/// The value of a patch is that of the places that can be seen from afar: each counts by the share
+/// of short rays from it that meet nothing. What lies under a carpet, behind a pipe or inside a
+/// solid does not darken the rest.
+///
 /// Where a probe sees a surface from nearer than the patch's longest side, the patch's error would
 /// be the probe's: from there a path goes on by one more surface (not where reflections are
 /// counted).
