@@ -58,53 +58,21 @@ bool parse(int argc, char** argv, Settings& s)
 {
     if (argc < 2) return false;
     s.scene = argv[1];
-    for (int i = 2; i < argc; ++i) {
-        const char* equals = std::strchr(argv[i], '=');
-        if (!equals) return false;
-        const std::string key(argv[i], static_cast<std::size_t>(equals - argv[i]));
-        const char* value = equals + 1;
-        if (key == "env")
-            s.environment = value;
-        else if (key == "sun")
-            s.sun = std::atoi(value) != 0;
-        else if (key == "lights")
-            s.lights = std::atoi(value) != 0;
-        else if (key == "contribution")
-            s.contribution = std::strcmp(value, "direct") == 0 ? Contribution::Direct
-                : std::strcmp(value, "indirect") == 0          ? Contribution::Indirect
-                                                               : Contribution::All;
-        else if (key == "front")
-            s.front = std::atoi(value) != 0;
-        else if (key == "bounds")
-            s.bounds = parseBounds(value);
-        else if (key == "points")
-            s.points = static_cast<std::size_t>(std::atoll(value));
-        else if (key == "threads")
-            s.threads = std::atoi(value);
-        else if (key == "repeats")
-            s.repeats = std::atoi(value);
-        else if (key == "seeds")
-            s.seeds = std::atoi(value);
-        else if (key == "reference")
-            s.referenceRays = std::atoi(value);
-        else if (key == "most")
-            s.most = std::atoi(value);
-        else if (key == "patches")
-            s.cache.patches = static_cast<std::size_t>(std::atoll(value));
-        else if (key == "maxpatches")
-            s.cache.maxPatches = static_cast<std::size_t>(std::atoll(value));
-        else if (key == "rays")
-            s.cache.rays = std::atoi(value);
-        else if (key == "nearness")
-            s.cache.nearness = std::atof(value);
-        else
-            return false;
-    }
-    return true;
+    const auto contribution = [&](const char* name) {
+        s.contribution = std::strcmp(name, "direct") == 0 ? Contribution::Direct
+            : std::strcmp(name, "indirect") == 0          ? Contribution::Indirect
+                                                          : Contribution::All;
+    };
+    return readSettings(argc, argv,
+        {{"env", setting(s.environment)}, {"sun", setting(s.sun)}, {"lights", setting(s.lights)},
+            {"contribution", contribution}, {"front", setting(s.front)},
+            {"bounds", setting(s.bounds)}, {"points", setting(s.points)},
+            {"threads", setting(s.threads)}, {"repeats", setting(s.repeats)},
+            {"seeds", setting(s.seeds)}, {"reference", setting(s.referenceRays)},
+            {"most", setting(s.most)}, {"patches", setting(s.cache.patches)},
+            {"maxpatches", setting(s.cache.maxPatches)}, {"rays", setting(s.cache.rays)},
+            {"nearness", setting(s.cache.nearness)}});
 }
-
-/// Of all threads: what else the machine does shows little in it.
-double processorSeconds() { return static_cast<double>(std::clock()) / CLOCKS_PER_SEC; }
 
 /// Irradiance at all points for all normals, and how long it took.
 struct Field {

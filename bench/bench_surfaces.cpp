@@ -55,31 +55,11 @@ bool parse(int argc, char** argv, Settings& s)
 {
     if (argc < 2) return false;
     s.scene = argv[1];
-    for (int i = 2; i < argc; ++i) {
-        const char* equals = std::strchr(argv[i], '=');
-        if (!equals) return false;
-        const std::string key(argv[i], static_cast<std::size_t>(equals - argv[i]));
-        const char* value = equals + 1;
-        if (key == "env")
-            s.environment = value;
-        else if (key == "bounds")
-            s.bounds = parseBounds(value);
-        else if (key == "points")
-            s.points = static_cast<std::size_t>(std::atoll(value));
-        else if (key == "places")
-            s.places = static_cast<std::size_t>(std::atoll(value));
-        else if (key == "reference")
-            s.reference = std::atoi(value);
-        else if (key == "directions")
-            s.directions = std::atoi(value);
-        else if (key == "threads")
-            s.threads = std::atoi(value);
-        else if (key == "patches")
-            s.cache.patches = static_cast<std::size_t>(std::atoll(value));
-        else
-            return false;
-    }
-    return true;
+    return readSettings(argc, argv,
+        {{"env", setting(s.environment)}, {"bounds", setting(s.bounds)},
+            {"points", setting(s.points)}, {"places", setting(s.places)},
+            {"reference", setting(s.reference)}, {"directions", setting(s.directions)},
+            {"threads", setting(s.threads)}, {"patches", setting(s.cache.patches)}});
 }
 
 /// What rays from random points of @a box meet.

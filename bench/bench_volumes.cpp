@@ -59,25 +59,16 @@ int usage(const char* program)
 
 bool parse(int argc, char** argv, Settings& s)
 {
-    using Set = std::function<void(const char*)>;
-    const auto integer = [](int& to) { return [&to](const char* v) { to = std::atoi(v); }; };
-    const auto flag = [](bool& to) { return [&to](const char* v) { to = std::atoi(v) != 0; }; };
-    const std::map<std::string, Set> keys = {{"spacing", [&](auto v) { s.spacing = atof(v); }},
-        {"bounds", [&](auto v) { s.bounds = parseBounds(v); }},
-        {"env", [&](auto v) { s.environment = v; }}, {"sun", flag(s.sun)}, {"front", flag(s.front)},
-        {"first", integer(s.first)}, {"most", integer(s.most)},
-        {"mostcached", integer(s.mostCached)}, {"seeds", integer(s.seeds)},
-        {"threads", integer(s.threads)}, {"reference", integer(s.referenceRays)},
-        {"bias", integer(s.biasRays)}};
-    for (int i = 2; i < argc; ++i) {
-        const char* equals = std::strchr(argv[i], '=');
-        const auto key = keys.find(std::string(argv[i], equals ? equals - argv[i] : 0));
-        if (key == keys.end()) return false;
-        key->second(equals + 1);
-    }
+    const bool known = readSettings(argc, argv,
+        {{"spacing", setting(s.spacing)}, {"bounds", setting(s.bounds)},
+            {"env", setting(s.environment)}, {"sun", setting(s.sun)}, {"front", setting(s.front)},
+            {"first", setting(s.first)}, {"most", setting(s.most)},
+            {"mostcached", setting(s.mostCached)}, {"seeds", setting(s.seeds)},
+            {"threads", setting(s.threads)}, {"reference", setting(s.referenceRays)},
+            {"bias", setting(s.biasRays)}});
     if (s.mostCached == 0) s.mostCached = s.most;
     if (argc > 1) s.scene = argv[1];
-    return argc > 1 && s.spacing > 0 && s.seeds > 0 && s.first > 1;
+    return known && argc > 1 && s.spacing > 0 && s.seeds > 0 && s.first > 1;
 }
 
 Scene load(const Settings& s)
@@ -96,9 +87,6 @@ Scene load(const Settings& s)
     }
     return scene;
 }
-
-/// Of all threads: what else the machine does shows little in it.
-double processorSeconds() { return static_cast<double>(std::clock()) / CLOCKS_PER_SEC; }
 
 double peakMegabytes()
 {
