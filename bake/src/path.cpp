@@ -314,7 +314,7 @@ void PathTracer::gather(const SurfacePoint* points, const GatherDraw* draws, int
     std::copy_n(result.uniform, count, result.emitter);
     mEmitterSamples = emitterSamples;
     for (int i = 0; i < emitterSamples; ++i) reflectFromEmitters(result, draws, i);
-    lookAround(points, draws, count, result);
+    findOpen(points, draws, count, result);
     mNext.count = 0;
     for (int i = 0; i < count; ++i) {
         const Vec3f d = cosineDirection(points[i].normal, draws[i].square.x, draws[i].square.y);
@@ -329,7 +329,7 @@ void PathTracer::gather(const SurfacePoint* points, const GatherDraw* draws, int
     }
 }
 
-void PathTracer::lookAround(
+void PathTracer::findOpen(
     const SurfacePoint* points, const GatherDraw* draws, int count, PathBatchResult& result)
 {
     std::fill_n(result.open, count, 1.0f);

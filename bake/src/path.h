@@ -129,7 +129,7 @@ private:
     /// own do.
     void reflectFromEmitters(
         PathBatchResult& result, const GatherDraw* draws = nullptr, int number = 0);
-    void lookAround(
+    void findOpen(
         const SurfacePoint* points, const GatherDraw* draws, int count, PathBatchResult& result);
     void pushReflected(const Path& path, const EmitterSample& e);
     void reflectFromPunctual(PathBatchResult& result);

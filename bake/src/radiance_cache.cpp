@@ -254,7 +254,7 @@ private:
                     if (isNear(n, mOptions.nearness)) near[i].push_back(n);
                 }
             });
-            if (round == 0) meanDirect(fresh, direct);
+            if (round == 0) learnDirect(fresh, direct);
             for (const auto& n : near) mNear.insert(mNear.end(), n.begin(), n.end());
             mMade.clear();
             const auto first = static_cast<Id>(mPatches->size());
@@ -288,7 +288,8 @@ private:
                   "integrator.");
     }
 
-    void meanDirect(const std::vector<Id>& ids, const std::vector<DirectLight>& direct)
+    /// The scene's mean of direct light, and from its noise how many emitter samples a place needs.
+    void learnDirect(const std::vector<Id>& ids, const std::vector<DirectLight>& direct)
     {
         double sum = 0, area = 0, variance = 0;
         for (std::size_t i = 0; i < ids.size(); ++i) {
