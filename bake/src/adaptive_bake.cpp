@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "bake_plan.h"
-#include "refiner.h"
+#include "adaptive_bake.h"
+
+#include "rehearsal.h"
 #include "seconds.h"
 
 #include <lumivdb/bake/visibility.h>
 #include <lumivdb/core/error.h>
-#include <lumivdb/core/random.h>
 
 #include <algorithm>
 #include <cmath>
@@ -20,158 +20,89 @@ constexpr int kPartHalo = 5;
 constexpr int kMaxRounds = 24;
 /// Where the bands alone leave out more than the target.
 constexpr int kHopelessRounds = 3;
-/// Rare places make much of an error (under eaves, one point in 2,000 made an eighth of the
-/// square): a bound needs many points more than exact ones.
-constexpr std::size_t kVerifyPoints = 4096, kMaxVerifyPoints = 16384;
 /// The reference's own noise in targets; it takes no part in the bound but as spread.
 constexpr double kReferenceShare = 0.6;
 constexpr double kMaxReferenceRays = 4096;
-// A rehearsal: directions of a sample as a share of the bake's.
-constexpr int kRehearsalShare = 64, kLeastRehearsalShare = 16;
-constexpr int kFewestRehearsalRays = 4, kRehearsalRays = 16, kMostRehearsalRays = 64;
-/// Few directions take longer, each, than many.
-constexpr double kRehearsalPace = 0.8;
-constexpr double kPathOverCache = 5;
-/// Seconds to find what a cell sees, before any are known.
-constexpr double kSecondsPerCell = 5e-5;
-/// What verification finds, with its confidence, over what refinement thinks: 1.02 to 1.33 in the
-/// sample scenes.
-constexpr double kVerifiedError = 1.12;
-constexpr std::uint64_t kVerifyStream = 0x3b97f1c5d8e2a604ull;
 /// Mean of Σ w² of trilinear weights over a cell: how much of its corners' noise it keeps.
 constexpr double kInterpolatedNoise = 0.3;
 /// Gradients stay where trilinear interpolation is at least this much more wrong, as RMS.
 constexpr double kGradientsPay = 1.2;
 
-class AdaptiveBake {
-public:
-    AdaptiveBake(const Tracer& tracer, const BakeOptions& options, const BakePlan& plan,
-        BakeReport& report, Outlook& outlook, int rehearsalRays = 0)
-        : mTracer(tracer)
-        , mOptions(options)
-        , mPlan(plan)
-        , mReport(report)
-        , mProgress(outlook)
-        , mRehearsalRays(rehearsalRays)
-    {
-        start();
+} // namespace
+
+IrradianceVolume AdaptiveBake::run()
+{
+    IrradianceVolume volume = mOptions.target.error > 0 ? runToTarget() : runOnce();
+    mReport.tracedSamples = mStore->size();
+    mReport.rays += mStore->rays() + mDroppedRays;
+    mReport.meanRelativeStderr = mStore->meanRelativeStderr();
+    mReport.raysPerSample = mStore->meanDirections();
+    return volume;
+}
+
+void AdaptiveBake::start()
+{
+    SampleSettings samples = mPlan.samples;
+    if (mRehearsalRays > 0) {
+        samples.probe.rays = mRehearsalRays;
+        samples.journal = nullptr;
     }
+    mStore = std::make_unique<SampleStore>(mTracer, samples);
+    mRefiner = std::make_unique<Refiner>(
+        mTracer, *mStore, mOptions.refine, mPlan.box, mPlan.levels, mPlan.meanE);
+    mRefiner->limitSamples(mOptions.target.maxSamples);
+    if (mOptions.parts > 1) choosePart();
+}
 
-    /// Decides what run() would, from samples of fewer directions, and leaves the steps in the
-    /// outlook.
-    void rehearse();
-
-    IrradianceVolume run()
-    {
-        IrradianceVolume volume = mOptions.target.error > 0 ? runToTarget() : runOnce();
-        mReport.tracedSamples = mStore->size();
-        mReport.rays += mStore->rays() + mDroppedRays;
-        mReport.meanRelativeStderr = mStore->meanRelativeStderr();
-        mReport.raysPerSample = mStore->meanDirections();
-        return volume;
+/// This part's roots, and around them what decisions about them depend on.
+void AdaptiveBake::choosePart()
+{
+    const std::vector<CellKey> all = Octree(mPlan.box, mPlan.levels).roots();
+    const auto bound = [&](int part) {
+        return all.size() * static_cast<std::size_t>(part)
+            / static_cast<std::size_t>(mOptions.parts);
+    };
+    const std::size_t first = bound(mOptions.part - 1), last = bound(mOptions.part);
+    if (first == last) {
+        throw Error(ErrorCode::Usage,
+            "There are only " + std::to_string(all.size()) + " cells of the coarsest level for "
+                + std::to_string(mOptions.parts) + " parts; take fewer parts or fewer levels.");
     }
-
-private:
-    void start()
-    {
-        SampleSettings samples = mPlan.samples;
-        if (mRehearsalRays > 0) {
-            samples.probe.rays = mRehearsalRays;
-            samples.journal = nullptr;
-        }
-        mStore = std::make_unique<SampleStore>(mTracer, samples);
-        mRefiner = std::make_unique<Refiner>(
-            mTracer, *mStore, mOptions.refine, mPlan.box, mPlan.levels, mPlan.meanE);
-        mRefiner->limitSamples(mOptions.target.maxSamples);
-        if (mOptions.parts > 1) choosePart();
+    mOwnRoots.assign(all.begin() + static_cast<std::ptrdiff_t>(first),
+        all.begin() + static_cast<std::ptrdiff_t>(last));
+    std::vector<CellKey> near;
+    const int reach = kPartHalo << mPlan.levels;
+    for (const CellKey& root : all) {
+        const bool close = std::any_of(mOwnRoots.begin(), mOwnRoots.end(), [&](const CellKey& own) {
+            const Coord d = root.origin - own.origin;
+            return std::max({std::abs(d.x), std::abs(d.y), std::abs(d.z)}) <= reach;
+        });
+        if (close) near.push_back(root);
     }
+    mRefiner->setRoots(near);
+}
 
-    /// This part's roots, and around them what decisions about them depend on.
-    void choosePart()
+bool AdaptiveBake::isOwn(const CellKey& cell) const
+{
+    if (mOwnRoots.empty()) return true;
+    CellKey root = cell;
+    while (root.level < mPlan.levels) root = root.parent();
+    return std::binary_search(mOwnRoots.begin(), mOwnRoots.end(), root);
+}
+
+IrradianceVolume AdaptiveBake::runOnce()
+{
     {
-        const std::vector<CellKey> all = Octree(mPlan.box, mPlan.levels).roots();
-        const auto bound = [&](int part) {
-            return all.size() * static_cast<std::size_t>(part)
-                / static_cast<std::size_t>(mOptions.parts);
-        };
-        const std::size_t first = bound(mOptions.part - 1), last = bound(mOptions.part);
-        if (first == last) {
-            throw Error(ErrorCode::Usage,
-                "There are only " + std::to_string(all.size()) + " cells of the coarsest level for "
-                    + std::to_string(mOptions.parts) + " parts; take fewer parts or fewer levels.");
-        }
-        mOwnRoots.assign(all.begin() + static_cast<std::ptrdiff_t>(first),
-            all.begin() + static_cast<std::ptrdiff_t>(last));
-        std::vector<CellKey> near;
-        const int reach = kPartHalo << mPlan.levels;
-        for (const CellKey& root : all) {
-            const bool close
-                = std::any_of(mOwnRoots.begin(), mOwnRoots.end(), [&](const CellKey& own) {
-                      const Coord d = root.origin - own.origin;
-                      return std::max({std::abs(d.x), std::abs(d.y), std::abs(d.z)}) <= reach;
-                  });
-            if (close) near.push_back(root);
-        }
-        mRefiner->setRoots(near);
+        Seconds time(mReport.secondsTrace);
+        refine(mOptions.refine.error, 0);
     }
-
-    bool isOwn(const CellKey& cell) const
-    {
-        if (mOwnRoots.empty()) return true;
-        CellKey root = cell;
-        while (root.level < mPlan.levels) root = root.parent();
-        return std::binary_search(mOwnRoots.begin(), mOwnRoots.end(), root);
+    if (mRefiner->isLimited()) {
+        mReport.warnings.push_back("Cells were to be split further, but "
+            + std::to_string(mStore->size()) + " samples are traced and "
+            + std::to_string(mOptions.target.maxSamples) + " allowed: the coarser ones are kept.");
     }
-
-    IrradianceVolume runOnce()
-    {
-        {
-            Seconds time(mReport.secondsTrace);
-            refine(mOptions.refine.error, 0);
-        }
-        if (mRefiner->isLimited()) {
-            mReport.warnings.push_back("Cells were to be split further, but "
-                + std::to_string(mStore->size()) + " samples are traced and "
-                + std::to_string(mOptions.target.maxSamples)
-                + " allowed: the coarser ones are kept.");
-        }
-        return assemble();
-    }
-
-    IrradianceVolume runToTarget();
-    void refine(double threshold, int pass);
-    void refineRound(double threshold, int round);
-    double foreseenSecondsToVerify() const;
-    double foreseenError() const;
-    bool isLast(int round) const;
-    void reconsiderGradients();
-    void spendWhatIsLeft(double& threshold);
-    AchievedError verify(const IrradianceVolume& volume, std::size_t count, int round);
-    EvaluateReport judge(const IrradianceVolume& volume, const EvaluateOptions& evaluate) const;
-    void drawPoints(std::size_t count, std::uint64_t key, EvaluateOptions& evaluate) const;
-    double noise2() const;
-    int referenceRays() const;
-    double nextThreshold(double threshold, double upper) const;
-    void summarise(double threshold, int rounds);
-    void warnOfPointLights();
-
-    IrradianceVolume build(const std::vector<CellKey>& cells) const;
-    static void limitGradients(IrradianceVolume& volume);
-    IrradianceVolume assemble();
-
-    const Tracer& mTracer;
-    const BakeOptions& mOptions;
-    BakePlan mPlan;
-    BakeReport& mReport;
-    Outlook& mProgress;
-    const int mRehearsalRays; // 0: this is no rehearsal
-    std::unique_ptr<SampleStore> mStore;
-    std::unique_ptr<Refiner> mRefiner;
-    std::vector<CellKey> mOwnRoots; // sorted; empty: all
-    RefinedCells mCells;
-    std::uint64_t mDroppedRays = 0;
-    int mLooks = 0; // verifications so far
-};
+    return assemble();
+}
 
 IrradianceVolume AdaptiveBake::build(const std::vector<CellKey>& cells) const
 {
@@ -256,60 +187,6 @@ IrradianceVolume AdaptiveBake::assemble()
     return volume;
 }
 
-/// Half of the points evenly, half where the bake thinks it is wrong; weights undo that.
-void AdaptiveBake::drawPoints(std::size_t count, std::uint64_t key, EvaluateOptions& evaluate) const
-{
-    const double h = mPlan.samples.spacing;
-    const LatticeBox& box = mPlan.box;
-    std::vector<double> sums;
-    double total = 0;
-    for (double c : mCells.contribution) sums.push_back(total += c);
-    const bool mixed = total > 0 && std::isfinite(total);
-    for (std::size_t i = 0; i < count; ++i) {
-        CounterRng rng(hashCombine(key, i));
-        Vec3d lower(box.lower.x, box.lower.y, box.lower.z),
-            upper(box.upper.x, box.upper.y, box.upper.z);
-        if (mixed && i % 2 == 1) {
-            const auto it = std::upper_bound(sums.begin(), sums.end(), rng.nextDouble() * total);
-            const std::size_t chosen
-                = std::min(static_cast<std::size_t>(it - sums.begin()), sums.size() - 1);
-            const CellKey& cell = mCells.cells[chosen];
-            for (int a = 0; a < 3; ++a) {
-                lower[a] = std::max(cell.origin[a], box.lower[a]);
-                upper[a] = std::min(cell.origin[a] + cell.size(), box.upper[a]);
-            }
-        }
-        Vec3d p;
-        for (int a = 0; a < 3; ++a) p[a] = lower[a] + rng.nextDouble() * (upper[a] - lower[a]);
-        evaluate.givenPoints.push_back(p * h);
-        if (!mixed) continue;
-        // Density of this point over the even one: of the mixture, whichever half it came from.
-        double density = 1;
-        const Coord voxel(static_cast<int>(std::floor(p.x)), static_cast<int>(std::floor(p.y)),
-            static_cast<int>(std::floor(p.z)));
-        for (int level = 0; level <= mPlan.levels; ++level) {
-            CellKey cell{voxel, 0};
-            for (int l = 0; l < level; ++l) cell = cell.parent();
-            const auto found = std::lower_bound(mCells.cells.begin(), mCells.cells.end(), cell);
-            if (found == mCells.cells.end() || !(*found == cell)) continue;
-            const auto index = static_cast<std::size_t>(found - mCells.cells.begin());
-            density = 0.5 + 0.5 * mCells.contribution[index] / total / mRefiner->share(cell);
-        }
-        evaluate.weights.push_back(1 / density);
-    }
-}
-
-EvaluateReport AdaptiveBake::judge(
-    const IrradianceVolume& volume, const EvaluateOptions& evaluate) const
-{
-    try {
-        return evaluateVolume(volume, mTracer, evaluate, &mProgress);
-    } catch (const Error& e) {
-        if (e.code() != ErrorCode::Interrupted) throw;
-        throw Error(e.code(), "The bake was interrupted; nothing was written.");
-    }
-}
-
 /// Directions at a point of verification, twice.
 int AdaptiveBake::referenceRays() const
 {
@@ -323,31 +200,36 @@ int AdaptiveBake::referenceRays() const
     return static_cast<int>(std::clamp(wanted, 64.0, most) / 2);
 }
 
-AchievedError AdaptiveBake::verify(const IrradianceVolume& volume, std::size_t count, int round)
+/// A first look, that can only say no: it takes nothing of the confidence.
+bool AdaptiveBake::looksWrong(Verification& verification)
+{
+    mProgress.enter(mRefiner->steps() + 1, Outlook::Work::Points);
+    AchievedError& a = mReport.achieved;
+    a = verification.look(kFirstPoints, mOptions.target.confidence, mProgress);
+    if (a.relRmse < kClearlyMissed * mOptions.target.error) return false;
+    a.met = false;
+    a.upper = kVerifiedError * a.relRmse;
+    return true;
+}
+
+void AdaptiveBake::verify(const IrradianceVolume& volume, int round, bool last)
 {
     Seconds time(mReport.secondsVerify);
-    EvaluateOptions evaluate;
-    evaluate.mode = VolumeSampler::bestMode(volume);
-    evaluate.contribution = mOptions.probe.contribution;
-    evaluate.maxBounces = mOptions.probe.maxBounces;
-    evaluate.rays = referenceRays();
-    evaluate.twice = true;
-    evaluate.seed = hashCombine(
-        mixBits(mOptions.probe.seed ^ kVerifyStream), static_cast<std::uint64_t>(round));
-    // Each look may pass by luck. The risks of all add up to what the confidence allows: shares
-    // 1/2, 1/6, 1/12, … = 1/(k(k+1)) of it.
-    ++mLooks;
-    evaluate.confidence = 1 - (1 - mOptions.target.confidence) / (mLooks * (mLooks + 1.0));
-    drawPoints(count, evaluate.seed, evaluate);
-    const EvaluateReport r = judge(volume, evaluate);
-    AchievedError achieved;
-    achieved.relRmse = r.relRmseDebiased;
-    achieved.upper = r.upper;
-    achieved.confidence = mOptions.target.confidence;
-    achieved.points = r.points;
-    achieved.met = r.upper <= mOptions.target.error;
-    for (const auto& w : r.worst) achieved.worst.push_back({w.position, w.error});
-    return achieved;
+    Verification verification(
+        mTracer, mOptions, mPlan, *mRefiner, mCells, volume, referenceRays(), round);
+    if (!last && looksWrong(verification)) return;
+    mProgress.enter(mRefiner->steps() + 2, Outlook::Work::Points);
+    for (;; mVerifyPoints *= 2) {
+        // Each look may pass by luck. The risks of all add up to what the confidence allows: shares
+        // 1/2, 1/6, 1/12, … = 1/(k(k+1)) of it.
+        ++mLooks;
+        const double confidence = 1 - (1 - mOptions.target.confidence) / (mLooks * (mLooks + 1.0));
+        mReport.achieved = verification.look(mVerifyPoints, confidence, mProgress);
+        // Good enough, but too few points to be sure: look at more before tracing more.
+        const AchievedError& a = mReport.achieved;
+        const bool unsure = !a.met && a.relRmse < 0.95 * mOptions.target.error;
+        if (!unsure || mVerifyPoints >= kMaxVerifyPoints) return;
+    }
 }
 
 /// After the coarse levels: whether gradients make interpolation so much better that they are worth
@@ -414,10 +296,9 @@ void AdaptiveBake::summarise(double threshold, int rounds)
         + " is not met: " + percentText(a.relRmse) + " was reached, at most " + percentText(a.upper)
         + " with " + percentText(a.confidence) + " confidence, after "
         + std::to_string(mStore->size()) + " samples."
-        + (mPlan.truncation >= mOptions.target.error
-                ? " What " + std::to_string(mPlan.samples.bands) + " bands leave out alone is "
-                    + percentText(mPlan.truncation) + "."
-                : ""));
+        + (isHopeless() ? " What " + std::to_string(mPlan.samples.bands)
+                    + " bands leave out alone is " + percentText(mPlan.truncation) + "."
+                        : ""));
     warnOfPointLights();
 }
 
@@ -451,7 +332,6 @@ void AdaptiveBake::spendWhatIsLeft(double& threshold)
 IrradianceVolume AdaptiveBake::runToTarget()
 {
     double threshold = 2 * mPlan.goal;
-    std::size_t points = kVerifyPoints;
     for (int round = 0;; ++round) {
         {
             Seconds time(mReport.secondsTrace);
@@ -461,16 +341,7 @@ IrradianceVolume AdaptiveBake::runToTarget()
         if (limited) spendWhatIsLeft(threshold);
         IrradianceVolume volume = assemble();
         const bool last = limited || isLast(round);
-        mProgress.enter(mRefiner->steps() + 1, Outlook::Work::Points);
-        for (;;) {
-            mReport.achieved
-                = verify(volume, points, round * 16 + static_cast<int>(points / kVerifyPoints));
-            // Good enough, but too few points to be sure: look at more before tracing more.
-            const bool unsure
-                = !mReport.achieved.met && mReport.achieved.relRmse < 0.95 * mOptions.target.error;
-            if (!unsure || points >= kMaxVerifyPoints) break;
-            points *= 2;
-        }
+        verify(volume, round, last);
         if (mReport.achieved.met || last) {
             summarise(threshold, round + 1);
             VolumeMetadata& m = volume.metadata();
@@ -479,6 +350,12 @@ IrradianceVolume AdaptiveBake::runToTarget()
             m.errorConfidence = mReport.achieved.confidence;
             return volume;
         }
+        fprintf(stderr,
+            "DBG round %d thr %.4f rel %.4f upper %.4f pts %zu samples %zu fixed %.4f noise %.4f "
+            "goal %.4f\n",
+            round, threshold, mReport.achieved.relRmse, mReport.achieved.upper,
+            mReport.achieved.points, mStore->size(), mPlan.truncation, std::sqrt(noise2()),
+            mPlan.goal);
         threshold = nextThreshold(threshold, mReport.achieved.upper);
     }
 }
@@ -499,60 +376,8 @@ void AdaptiveBake::refine(double threshold, int pass)
 
 bool AdaptiveBake::isLast(int round) const
 {
-    const bool hopeless = mPlan.truncation >= mOptions.target.error;
-    return round + 1 == (hopeless ? kHopelessRounds : kMaxRounds);
+    return round + 1 == (isHopeless() ? kHopelessRounds : kMaxRounds);
 }
-
-/// Points are traced by `path`, which may have been much faster with the cache.
-double AdaptiveBake::foreseenSecondsToVerify() const
-{
-    double seconds = 0;
-    for (const Outlook::Step& step : mProgress.steps())
-        seconds += step.work == Outlook::Work::Samples ? step.seconds : 0;
-    const double directions = static_cast<double>(mStore->size()) * mRehearsalRays;
-    const double slower = mPlan.samples.probe.cache ? kPathOverCache : 1;
-    return kRehearsalPace * slower * seconds / std::max(1.0, directions) * referenceRays() * 2
-        * static_cast<double>(kVerifyPoints);
-}
-
-double AdaptiveBake::foreseenError() const
-{
-    double square = std::pow(mPlan.truncation, 2) + std::pow(mPlan.sampleNoise(), 2);
-    for (const double c : mCells.contribution) square += c;
-    return kVerifiedError * std::sqrt(square);
-}
-
-void AdaptiveBake::rehearse()
-{
-    const bool hasTarget = mOptions.target.error > 0;
-    double threshold = hasTarget ? 2 * mPlan.goal : mOptions.refine.error;
-    for (int round = 0;; ++round) {
-        hasTarget ? refineRound(threshold, round) : refine(threshold, 0);
-        mProgress.add(mRefiner->steps(), Outlook::Work::Cells,
-            kSecondsPerCell * static_cast<double>(mCells.cells.size()));
-        if (!hasTarget) return;
-        mProgress.add(mRefiner->steps() + 1, Outlook::Work::Points, foreseenSecondsToVerify());
-        const double error = foreseenError();
-        if (error <= mOptions.target.error || mRefiner->isLimited() || isLast(round)) return;
-        threshold = nextThreshold(threshold, error);
-    }
-}
-
-/// Rehearses the bake, and plans the outlook by that.
-void foresee(const Tracer& tracer, const BakeOptions& options, const BakePlan& plan,
-    const BakeReport& report, Outlook& outlook)
-{
-    const int rays = plan.samples.probe.rays;
-    const int few = std::clamp(rays / kLeastRehearsalShare, kFewestRehearsalRays,
-        std::clamp(rays / kRehearsalShare, kRehearsalRays, kMostRehearsalRays));
-    outlook.begin("look ahead", 1);
-    BakeReport unused = report;
-    Outlook rehearsal(outlook, false);
-    AdaptiveBake(tracer, options, plan, unused, rehearsal, few).rehearse();
-    outlook.plan(rehearsal.steps(), kRehearsalPace * rays / few);
-}
-
-} // namespace
 
 IrradianceVolume bakeAdaptive(const Tracer& tracer, const BakeOptions& options,
     const BakePlan& plan, BakeReport& report, Progress& progress)
@@ -560,7 +385,7 @@ IrradianceVolume bakeAdaptive(const Tracer& tracer, const BakeOptions& options,
     Outlook outlook(progress);
     // How many rounds a target takes, and how many rays its samples, cannot be rehearsed cheaply.
     const bool known = plan.samples.stop.most == 0;
-    if (known && progress.wantsForecast()) foresee(tracer, options, plan, report, outlook);
+    if (known && progress.wantsForecast()) rehearse(tracer, options, plan, report, outlook);
     return AdaptiveBake(tracer, options, plan, report, outlook).run();
 }
 

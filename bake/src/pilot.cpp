@@ -39,20 +39,19 @@ public:
     {
         ProbeEstimator::Workspace& workspace = mWorkspaces.local();
         Look look;
-        // The same key: both see the same rays, and their difference is the expansion alone.
-        ProbeResult direct = mEstimator.irradiance(p, mNormals, key, workspace);
-        look.rays = direct.rays;
-        look.free = direct.validity >= kValidThreshold;
+        // Both see the same rays, so that their difference is the expansion alone.
+        const ProbeResult r
+            = mEstimator.radianceShAndIrradiance(p, kMaxBands, mNormals, key, workspace);
+        look.rays = r.rays;
+        look.free = r.validity >= kValidThreshold;
         if (!look.free) return look;
-        const ProbeResult sh = mEstimator.radianceSh(p, kMaxBands, key, workspace);
-        look.rays += sh.rays;
         for (int bands = 1; bands <= kMaxBands; ++bands) {
             for (const Vec3f& n : mNormals) {
-                look.expanded.push_back(irradiance(bands, sh.value.data(), n));
+                look.expanded.push_back(irradiance(bands, r.value.data(), n));
             }
         }
-        look.direct = std::move(direct.value);
-        look.error = std::move(direct.stderr_);
+        look.direct.assign(r.value.begin() + kMaxCoefficients, r.value.end());
+        look.error.assign(r.stderr_.begin() + kMaxCoefficients, r.stderr_.end());
         return look;
     }
 

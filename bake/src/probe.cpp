@@ -81,6 +81,17 @@ struct CosineFunctions {
     }
 };
 
+struct ShAndCosineFunctions {
+    ShFunctions sh;
+    CosineFunctions cosines;
+    int count() const { return sh.count() + cosines.count(); }
+    void eval(int n, const float* x, const float* y, const float* z, float* out) const
+    {
+        sh.eval(n, x, y, z, out);
+        cosines.eval(n, x, y, z, out + sh.count() * n);
+    }
+};
+
 /// Scratch of one thread. Big: lives on the heap.
 struct Scratch {
     Scratch(const Tracer::Impl& impl, const ProbeOptions& options,
@@ -493,6 +504,13 @@ ProbeResult ProbeEstimator::irradiance(const Vec3d& p, const std::vector<Vec3f>&
     std::uint64_t key, Workspace& workspace) const
 {
     return estimate(placeAt(p, key, workspace), CosineFunctions{normals}, 0, workspace, 0);
+}
+
+ProbeResult ProbeEstimator::radianceShAndIrradiance(const Vec3d& p, int bands,
+    const std::vector<Vec3f>& normals, std::uint64_t key, Workspace& workspace) const
+{
+    const ShAndCosineFunctions basis{ShFunctions{bands}, CosineFunctions{normals}};
+    return estimate(placeAt(p, key, workspace), basis, 0, workspace, 0);
 }
 
 Vec3d irradianceNorm2(int bands, const Color* d)

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The judge: volumes whose error is known must be told so.
 
+#include "../../bake/src/evaluator.h"
 #include "bake_makers.h"
 
 #include <catch2/catch.hpp>
@@ -200,6 +201,36 @@ TEST_CASE("points inside geometry are rejected and replaced", "[evaluate]")
     given.givenPoints = {{5, 0, 0}};
     CHECK(errorOf(ErrorCode::Input, [&] { evaluateVolume(constantVolume(1), *tracer, given); })
         != "");
+}
+
+TEST_CASE("points that come in portions count as if they came at once", "[evaluate]")
+{
+    const auto tracer = makeTracer(smoothScene());
+    const IrradianceVolume volume = constantVolume(0.4);
+    EvaluateOptions o = options(1, 64);
+    o.twice = true;
+    std::vector<Vec3d> points;
+    std::vector<double> weights;
+    for (int i = 0; i < 20; ++i) {
+        points.emplace_back(0.09 * i - 0.9, 0.5 - 0.04 * i, 0.02 * i);
+        weights.push_back(1 + i % 3);
+    }
+    Progress silent;
+    Evaluator atOnce(volume, *tracer, o), inPortions(volume, *tracer, o);
+    atOnce.add(points, weights, silent);
+    const auto middle = points.begin() + 7;
+    inPortions.add({points.begin(), middle}, {weights.begin(), weights.begin() + 7}, silent);
+    const EvaluateReport first = inPortions.report(0.95);
+    inPortions.add({middle, points.end()}, {weights.begin() + 7, weights.end()}, silent);
+    const EvaluateReport a = atOnce.report(0.9), b = inPortions.report(0.9);
+    CHECK(first.points == 7);
+    CHECK(b.points == 20);
+    CHECK(b.relRmse == a.relRmse);
+    CHECK(b.relRmseDebiased == a.relRmseDebiased);
+    CHECK(b.upper == a.upper);
+    CHECK(b.upper < inPortions.report(0.99).upper);
+    CHECK(b.bias == a.bias);
+    CHECK(first.relRmse != a.relRmse);
 }
 
 TEST_CASE("a volume that holds a NaN or an infinity is refused, not praised", "[evaluate][hard]")

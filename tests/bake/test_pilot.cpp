@@ -6,6 +6,7 @@
 
 #include <catch2/catch.hpp>
 
+#include <algorithm>
 #include <array>
 
 using namespace lumivdb;
@@ -39,4 +40,25 @@ TEST_CASE("pilot: what it finds depends on nothing that was in memory before", "
         CHECK(pilot.truncation[1] > pilot.truncation[3]);
         for (const double share : pilot.truncation) CHECK(share < 100);
     }
+}
+
+TEST_CASE("coefficients and irradiances of the same rays are those of either alone", "[pilot]")
+{
+    const auto tracer = makeTracer(litRoom());
+    ProbeOptions probe;
+    probe.rays = 300;
+    const ProbeEstimator estimator(*tracer, probe);
+    ProbeEstimator::Workspace workspace;
+    const Vec3d p(0.4, 0.7, 0.6);
+    const std::vector<Vec3f> normals = uniformNormals(7);
+    const ProbeResult both = estimator.radianceShAndIrradiance(p, 4, normals, 5, workspace),
+                      sh = estimator.radianceSh(p, 4, 5, workspace),
+                      direct = estimator.irradiance(p, normals, 5, workspace);
+    REQUIRE(both.value.size() == 16 + 7);
+    REQUIRE(both.stderr_.size() == 16 + 7);
+    CHECK(std::equal(sh.value.begin(), sh.value.end(), both.value.begin()));
+    CHECK(std::equal(sh.stderr_.begin(), sh.stderr_.end(), both.stderr_.begin()));
+    CHECK(std::equal(direct.value.begin(), direct.value.end(), both.value.begin() + 16));
+    CHECK(std::equal(direct.stderr_.begin(), direct.stderr_.end(), both.stderr_.begin() + 16));
+    CHECK(both.rays == sh.rays);
 }

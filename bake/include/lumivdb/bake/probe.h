@@ -110,6 +110,10 @@ public:
     ProbeResult irradiance(const Vec3d& p, const std::vector<Vec3f>& normals, std::uint64_t key,
         Workspace& workspace) const;
 
+    /// Both from the same rays: first the coefficients of radianceSh(), then irradiance()s.
+    ProbeResult radianceShAndIrradiance(const Vec3d& p, int bands,
+        const std::vector<Vec3f>& normals, std::uint64_t key, Workspace& workspace) const;
+
     const ProbeOptions& options() const { return mOptions; }
 
 private:

@@ -1,0 +1,112 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "verification.h"
+
+#include <lumivdb/core/error.h>
+#include <lumivdb/core/random.h>
+
+#include <algorithm>
+#include <cmath>
+
+namespace lumivdb {
+
+namespace {
+
+constexpr std::uint64_t kVerifyStream = 0x3b97f1c5d8e2a604ull;
+
+EvaluateOptions evaluateOptions(
+    const BakeOptions& options, const IrradianceVolume& volume, int rays, int round)
+{
+    EvaluateOptions evaluate;
+    evaluate.mode = VolumeSampler::bestMode(volume);
+    evaluate.contribution = options.probe.contribution;
+    evaluate.maxBounces = options.probe.maxBounces;
+    evaluate.rays = rays;
+    evaluate.twice = true;
+    evaluate.seed = hashCombine(
+        mixBits(options.probe.seed ^ kVerifyStream), static_cast<std::uint64_t>(round));
+    return evaluate;
+}
+
+} // namespace
+
+Verification::Verification(const Tracer& tracer, const BakeOptions& options, const BakePlan& plan,
+    const Refiner& refiner, const RefinedCells& cells, const IrradianceVolume& volume, int rays,
+    int round)
+    : mOptions(options)
+    , mPlan(plan)
+    , mRefiner(refiner)
+    , mCells(cells)
+    , mEvaluate(evaluateOptions(options, volume, rays, round))
+    , mEvaluator(volume, tracer, mEvaluate)
+{
+    double total = 0;
+    for (const double c : cells.contribution) mSums.push_back(total += c);
+    if (!(total > 0 && std::isfinite(total))) mSums.clear();
+}
+
+/// Half of the points evenly, half where the bake thinks it is wrong; the weight undoes that.
+std::pair<Vec3d, double> Verification::draw(std::size_t number) const
+{
+    const LatticeBox& box = mPlan.box;
+    CounterRng rng(hashCombine(mEvaluate.seed, number));
+    Vec3d lower(box.lower.x, box.lower.y, box.lower.z),
+        upper(box.upper.x, box.upper.y, box.upper.z);
+    if (!mSums.empty() && number % 2 == 1) {
+        const auto it
+            = std::upper_bound(mSums.begin(), mSums.end(), rng.nextDouble() * mSums.back());
+        const auto chosen
+            = std::min(static_cast<std::size_t>(it - mSums.begin()), mSums.size() - 1);
+        const CellKey& cell = mCells.cells[chosen];
+        for (int a = 0; a < 3; ++a) {
+            lower[a] = std::max(cell.origin[a], box.lower[a]);
+            upper[a] = std::min(cell.origin[a] + cell.size(), box.upper[a]);
+        }
+    }
+    Vec3d p;
+    for (int a = 0; a < 3; ++a) p[a] = lower[a] + rng.nextDouble() * (upper[a] - lower[a]);
+    return {p * mPlan.samples.spacing, mSums.empty() ? 1 : 1 / density(p)};
+}
+
+/// Of points at @a p over the even one: that of the mixture, whichever half a point came from.
+double Verification::density(const Vec3d& p) const
+{
+    double density = 1;
+    const Coord voxel(static_cast<int>(std::floor(p.x)), static_cast<int>(std::floor(p.y)),
+        static_cast<int>(std::floor(p.z)));
+    CellKey cell{voxel, 0};
+    for (int level = 0; level <= mPlan.levels; ++level, cell = cell.parent()) {
+        const auto found = std::lower_bound(mCells.cells.begin(), mCells.cells.end(), cell);
+        if (found == mCells.cells.end() || !(*found == cell)) continue;
+        const auto index = static_cast<std::size_t>(found - mCells.cells.begin());
+        density = 0.5 + 0.5 * mCells.contribution[index] / mSums.back() / mRefiner.share(cell);
+    }
+    return density;
+}
+
+AchievedError Verification::look(std::size_t points, double confidence, Progress& progress)
+{
+    std::vector<Vec3d> places;
+    std::vector<double> weights;
+    for (; mPoints < points; ++mPoints) {
+        const auto [place, weight] = draw(mPoints);
+        places.push_back(place);
+        weights.push_back(weight);
+    }
+    try {
+        mEvaluator.add(places, weights, progress);
+    } catch (const Error& e) {
+        if (e.code() != ErrorCode::Interrupted) throw;
+        throw Error(e.code(), "The bake was interrupted; nothing was written.");
+    }
+    const EvaluateReport r = mEvaluator.report(confidence);
+    AchievedError achieved;
+    achieved.relRmse = r.relRmseDebiased;
+    achieved.upper = r.upper;
+    achieved.confidence = mOptions.target.confidence;
+    achieved.points = r.points;
+    achieved.met = r.upper <= mOptions.target.error;
+    for (const auto& w : r.worst) achieved.worst.push_back({w.position, w.error});
+    return achieved;
+}
+
+} // namespace lumivdb

@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+/// @file verification.h
+/// Proves the error of an adaptive volume at points that its bake never used.
+
+#include "bake_plan.h"
+#include "evaluator.h"
+#include "refiner.h"
+
+namespace lumivdb {
+
+/// Looks at one volume, at ever more points: what earlier looks have traced counts in later ones.
+class Verification {
+public:
+    /// Everything is kept by reference. @a rays: directions at a point, twice. @a round makes the
+    /// points of one volume others than those of the next.
+    Verification(const Tracer& tracer, const BakeOptions& options, const BakePlan& plan,
+        const Refiner& refiner, const RefinedCells& cells, const IrradianceVolume& volume, int rays,
+        int round);
+
+    /// Looks at points until @a points of them are traced in all; the bound of the error at all of
+    /// them holds with @a confidence. @throws Error(Interrupted).
+    AchievedError look(std::size_t points, double confidence, Progress& progress);
+
+private:
+    std::pair<Vec3d, double> draw(std::size_t number) const;
+    double density(const Vec3d& lattice) const;
+
+    const BakeOptions& mOptions;
+    const BakePlan& mPlan;
+    const Refiner& mRefiner;
+    const RefinedCells& mCells;
+    EvaluateOptions mEvaluate;
+    Evaluator mEvaluator;
+    std::vector<double> mSums; // of the cells' contributions; empty: points are drawn evenly
+    std::size_t mPoints = 0;
+};
+
+} // namespace lumivdb
