@@ -350,12 +350,6 @@ IrradianceVolume AdaptiveBake::runToTarget()
             m.errorConfidence = mReport.achieved.confidence;
             return volume;
         }
-        fprintf(stderr,
-            "DBG round %d thr %.4f rel %.4f upper %.4f pts %zu samples %zu fixed %.4f noise %.4f "
-            "goal %.4f\n",
-            round, threshold, mReport.achieved.relRmse, mReport.achieved.upper,
-            mReport.achieved.points, mStore->size(), mPlan.truncation, std::sqrt(noise2()),
-            mPlan.goal);
         threshold = nextThreshold(threshold, mReport.achieved.upper);
     }
 }

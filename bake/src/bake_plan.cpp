@@ -18,6 +18,8 @@ constexpr double kSnap = 1e-6;
 /// Root cells along the bounds' longest side where levels are chosen here.
 constexpr double kRootsAlongSide = 4;
 constexpr int kDefaultLevels = 4;
+/// Samples that an adaptive bake is thought to trace for each of its coarsest cells.
+constexpr double kSamplesPerRoot = 64;
 /// With a target, the finest spacing is out of reach in practice: samples are the limit.
 constexpr int kTargetLevels = 8;
 constexpr std::size_t kPilotPoints = 256;
@@ -102,6 +104,19 @@ public:
     {
         chooseLattice();
         return worldBox();
+    }
+
+    double samples()
+    {
+        chooseLattice();
+        const Coord size = mPlan.box.upper - mPlan.box.lower;
+        const double uniform = (size.x + 1.0) * (size.y + 1.0) * (size.z + 1.0);
+        if (!mAdaptive) return uniform;
+        const double root = std::pow(2.0, mPlan.levels);
+        double roots = 1;
+        for (int a = 0; a < 3; ++a) roots *= std::ceil(size[a] / root);
+        return std::min(
+            {uniform, kSamplesPerRoot * roots, static_cast<double>(mOptions.target.maxSamples)});
     }
 
 private:
@@ -273,6 +288,12 @@ Box3d bakeBox(const Tracer& tracer, const BakeOptions& options)
 {
     BakeReport unread;
     return Planner(tracer, options, unread).box();
+}
+
+double foreseenSamples(const Tracer& tracer, const BakeOptions& options)
+{
+    BakeReport unread;
+    return Planner(tracer, options, unread).samples();
 }
 
 } // namespace lumivdb

@@ -37,6 +37,10 @@ BakePlan planBake(
 /// @throws Error(Usage) as planBake().
 Box3d bakeBox(const Tracer& tracer, const BakeOptions& options);
 
+/// About how many samples it will trace; those of a uniform one exactly. @throws Error(Usage) as
+/// planBake().
+double foreseenSamples(const Tracer& tracer, const BakeOptions& options);
+
 /// %g text of a number for sentences.
 std::string shortText(double v);
 /// A relative quantity as percent.

@@ -509,6 +509,12 @@ private:
     std::vector<Link> mLinks;
 };
 
+std::size_t RadianceCacheOptions::patchesFor(double rays)
+{
+    constexpr double kRaysPerPatch = 256, kFewest = 1024, kMost = 65536;
+    return static_cast<std::size_t>(std::clamp(rays / kRaysPerPatch, kFewest, kMost));
+}
+
 void RadianceCacheOptions::validate() const
 {
     const auto check = [](bool good, const char* field, double value, const char* range) {

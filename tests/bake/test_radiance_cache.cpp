@@ -334,19 +334,19 @@ TEST_CASE("Scenes in too many pieces and bad options are refused", "[radiance_ca
 TEST_CASE(
     "A bake of a scene with no place for a cache is by path and says so", "[radiance_cache][bake]")
 {
-    // Hair: 1.2 million sides, all longer than a patch of full size.
+    // Hair: 1.2 million sides, all longer than a patch of full size (√(area/1024) = 2.1).
     Scene scene;
     Mesh hair;
     hair.material = addMaterial(scene, Color(0.5f), Color(0.0f), true);
     for (std::uint32_t i = 0; i < 65536; ++i) {
         const Vec3d root(0.01 * (i % 256), 0.01 * (i / 256), 0);
-        for (const Vec3d& p : {root, root + Vec3d(0, 0, 1), root + Vec3d(0.007, 0, 1)}) {
+        for (const Vec3d& p : {root, root + Vec3d(0, 0, 4), root + Vec3d(0.00175, 0, 4)}) {
             hair.positions.push_back(p);
         }
         hair.triangles.push_back({{3 * i, 3 * i + 1, 3 * i + 2}});
     }
     for (int i = 0; i < 9; ++i) {
-        hair.instances.push_back({1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 2.0 * i, 1});
+        hair.instances.push_back({1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 5.0 * i, 1});
     }
     scene.meshes.push_back(std::move(hair));
     scene.environment = Environment::constant(Color(1.0f));
@@ -384,6 +384,24 @@ TEST_CASE("A cached bake says so, with its bias", "[radiance_cache][bake]")
     CHECK(direct.report.integrator == Integrator::Path);
     CHECK(direct.report.decisions.size() >= 1);
     CHECK(direct.volume.metadata().integrator == "path");
+}
+
+TEST_CASE(
+    "Patches begin as many as the rays that will look at them ask for", "[radiance_cache][bake]")
+{
+    CHECK(RadianceCacheOptions::patchesFor(0) == 1024);
+    CHECK(RadianceCacheOptions::patchesFor(1e6) == 3906);
+    CHECK(RadianceCacheOptions::patchesFor(1e12) == 65536);
+    const auto tracer = makeTracer(litRoom());
+    const auto patches = [&](int rays, int levels) {
+        BakeOptions o = bakeOptions(0.2, Vec3d(0.2), Vec3d(1.4), rays);
+        o.integrator = Integrator::Cached;
+        o.levels = levels;
+        return bakeVolume(*tracer, o).report.cache.patches;
+    };
+    // 7³ samples; one coarse cell of 8³, which may trace a few more than its corners.
+    CHECK(patches(16384, 0) > 2 * patches(64, 0));
+    CHECK(patches(16384, 3) > 2 * patches(64, 3));
 }
 
 TEST_CASE("A target too tight for the cache falls back to path", "[radiance_cache][bake]")

@@ -93,8 +93,8 @@ std::vector<Case> channelCases()
         {"missing level", "'level'", [](Grids& g) { g.erase("level"); }},
         {"float coefficient", "'sh_1'", [](Grids& g) { mistype<openvdb::FloatGrid>(g, "sh_1"); }},
         {"float level", "'level'", [](Grids& g) { mistype<openvdb::FloatGrid>(g, "level"); }},
-        {"double validity", "'validity'",
-            [](Grids& g) { mistype<openvdb::DoubleGrid>(g, "validity"); }},
+        {"integer validity", "'validity'",
+            [](Grids& g) { mistype<openvdb::Int32Grid>(g, "validity"); }},
         {"extra voxel", "active voxels",
             [](Grids& g) {
                 colors(g, "sh_1").tree().setValueOn({40, 0, 0});

@@ -13,7 +13,8 @@
 /// rays: Cohen & Wallace, "Radiosity and Realistic Image Synthesis", 1993, ch. 4–5), which is
 /// iterated to a residual without tracing again: any albedo below 1 converges.
 ///
-/// Patches begin with a size in proportion to the scene's area. They are divided where the probes'
+/// Patches begin with a size in proportion to the scene's area, the smaller the more rays will look
+/// at them (RadianceCacheOptions::patchesFor()). They are divided where the probes'
 /// box sees much of them (a small room in a wide plain), where rays come near them (larger than a
 /// share of the ray's length: corners) and where direct light changes across them. Where it still
 /// changes in the smallest ones (edges of shadows and of sunlight), the cache keeps reflected light
@@ -51,6 +52,10 @@ struct RadianceCacheOptions {
     /// Of the solution: the largest |E − D − TE| / E of all patches, so that a small room counts
     /// as much as the sunlit plain around it.
     double residual = 3e-4;
+    /// How many patches to begin with where probes will send about so many rays in all: solving
+    /// then takes no longer than tracing them, 1,024 patches at least, 65,536 at most. Errors of
+    /// patches average out over a probe's rays, so few rays need no better ones.
+    static std::size_t patchesFor(double rays);
     /// @throws Error(Usage) naming the field, its value and the range.
     void validate() const;
 };
