@@ -282,7 +282,7 @@ private:
 
 } // namespace
 
-TEST_CASE("a bake that goes on makes the same volume", "[bake][journal]")
+TEST_CASE("a bake that goes on makes the same volume", "[bake][journal][heavy]")
 {
     const auto tracer = makeTracer(litRoom());
     int taken = 0;

@@ -109,7 +109,7 @@ Passed passed(const LightPropagationVolume& lpv, const Vec3d& p)
 
 } // namespace
 
-TEST_CASE("LPV: net flux through a closed surface is the source's", "[lpv]")
+TEST_CASE("LPV: net flux through a closed surface is the source's", "[lpv][heavy]")
 {
     // All of a source's flux passes every cube around it. What goes from a cell to its neighbour
     // along d is Ω_f I(d) + Ω_s Σ I((2d + f)/√5) = (2π/3) A + 1.915594 B·d: the net flux has a part

@@ -195,8 +195,8 @@ TEST_CASE("Shadows of lights without size are found in place", "[radiance_cache]
     CHECK(RadianceCache(*tracer, options).report().mixed > 0);
 }
 
-TEST_CASE(
-    "Meshes that are kept once have the light of expanded ones", "[radiance_cache][instances]")
+TEST_CASE("Meshes that are kept once have the light of expanded ones",
+    "[radiance_cache][instances][heavy]")
 {
     const auto scene = std::make_shared<Scene>(furnished());
     TracerOptions none;
@@ -216,7 +216,7 @@ TEST_CASE(
     }
 }
 
-TEST_CASE("Textures and an environment are seen through the cache", "[radiance_cache]")
+TEST_CASE("Textures and an environment are seen through the cache", "[radiance_cache][heavy]")
 {
     const auto tracer = makeTracer(garden());
     compare(*tracer, {0.3, 0.7, 0.6}, {0, -1, 0}, -1);
@@ -386,8 +386,8 @@ TEST_CASE("A cached bake says so, with its bias", "[radiance_cache][bake]")
     CHECK(direct.volume.metadata().integrator == "path");
 }
 
-TEST_CASE(
-    "Patches begin as many as the rays that will look at them ask for", "[radiance_cache][bake]")
+TEST_CASE("Patches begin as many as the rays that will look at them ask for",
+    "[radiance_cache][bake][heavy]")
 {
     CHECK(RadianceCacheOptions::patchesFor(0) == 1024);
     CHECK(RadianceCacheOptions::patchesFor(1e6) == 3906);
@@ -400,11 +400,11 @@ TEST_CASE(
         return bakeVolume(*tracer, o).report.cache.patches;
     };
     // 7³ samples; one coarse cell of 8³, which may trace a few more than its corners.
-    CHECK(patches(16384, 0) > 2 * patches(64, 0));
-    CHECK(patches(16384, 3) > 2 * patches(64, 3));
+    CHECK(patches(2048, 0) > 1.5 * static_cast<double>(patches(64, 0)));
+    CHECK(patches(8192, 3) > 1.5 * static_cast<double>(patches(64, 3)));
 }
 
-TEST_CASE("A target too tight for the cache falls back to path", "[radiance_cache][bake]")
+TEST_CASE("A target too tight for the cache falls back to path", "[radiance_cache][bake][heavy]")
 {
     const auto tracer = makeTracer(room());
     BakeOptions options;
@@ -571,7 +571,7 @@ TEST_CASE("A small room in a wide plain is cut as finely as one by itself", "[ra
     CHECK(report.cache.patches < 50000);
 }
 
-TEST_CASE("Noise of paths is no error of a cached bake", "[radiance_cache]")
+TEST_CASE("Noise of paths is no error of a cached bake", "[radiance_cache][heavy]")
 {
     // Albedo 0.8: the cache is exact, and what judges it is the noisier.
     const auto tracer = makeTracer(furnace(0.8f));
