@@ -270,7 +270,10 @@ Json toJson(const Row& row)
 Json biasOf(const Tracer& tracer, const Settings& s, const Reference& reference)
 {
     ProbeOptions options;
-    options.cache = std::make_shared<const RadianceCache>(tracer, RadianceCacheOptions{});
+    RadianceCacheOptions cache; // as of the bake with the most rays
+    cache.patches = RadianceCacheOptions::patchesFor(
+        static_cast<double>(reference.a.sampleCount()) * s.mostCached);
+    options.cache = std::make_shared<const RadianceCache>(tracer, cache);
     options.rays = s.biasRays;
     const int bands = reference.a.bands();
     std::vector<std::vector<Color>> found[2];

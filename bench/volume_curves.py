@@ -14,7 +14,7 @@ has a column. To an error: rays between two counts by logarithms, seconds betwee
 Beyond the last count (marked ~, a guess) along the line of the last counts, the measured bias of
 the cache kept apart as what more rays do not lower; "never" where that alone is more, or where the
 error no longer falls. For other numbers of samples, those parts that belong to samples grow with
-them.
+them, and solving with the patches that a cache begins with (RadianceCacheOptions::patchesFor).
 """
 
 import argparse
@@ -89,6 +89,23 @@ def fixed(result, row):
     return result["build"] + row["seconds"].get("solve", 0)
 
 
+def patches(samples, rays):
+    return min(max(samples * rays / 512, 512), 65536)
+
+
+def solving(result, rows, samples, rays):
+    """Seconds for so many: between the counts measured, beyond them in proportion to patches."""
+    known = [(patches(result["samples"], r["rays"]), r["seconds"].get("solve", 0)) for r in rows]
+    wanted = patches(samples, rays)
+    if wanted <= known[0][0] or wanted >= known[-1][0]:
+        at, seconds = known[0] if wanted <= known[0][0] else known[-1]
+        return seconds * wanted / at
+    for (p0, s0), (p1, s1) in zip(known, known[1:]):
+        if p0 <= wanted < p1:
+            return s0 + (s1 - s0) * (wanted - p0) / (p1 - p0)
+    return known[-1][1]
+
+
 def growing(row):
     return sum(row["seconds"].get(k, 0) for k in ("trace", "visibility", "rest"))
 
@@ -106,21 +123,21 @@ def seconds_between(a, b, rays):
 
 
 def to_error(rows, target, bias):
-    """Seconds of what grows with samples, "" or "~" or "≤"; None where it is never reached."""
+    """Rays, seconds of what grows with samples, "" or "~" or "≤"; None where it is never reached."""
     if rows[0]["rel_rmse"] <= target:
-        return growing(rows[0]), "≤"
+        return rows[0]["rays"], growing(rows[0]), "≤"
     for a, b in zip(rows, rows[1:]):
         if b["rel_rmse"] <= target < a["rel_rmse"]:
             found = line((a["rays"], a["rel_rmse"]), (b["rays"], b["rel_rmse"]), target)
-            return seconds_between(a, b, found), ""
+            return found, seconds_between(a, b, found), ""
     first, last = rows[max(0, len(rows) - 3)], rows[-1]
     noise = [math.sqrt(max(0, r["rel_rmse"] ** 2 - bias ** 2)) for r in (first, last)]
     if target <= bias or not 0 < noise[1] < 0.9 * noise[0]:
-        return None, ""
+        return None, None, ""
     left = math.sqrt(target ** 2 - bias ** 2)
     found = line((first["rays"], noise[0]), (last["rays"], noise[1]), left)
     # The first count is the furthest away: the slope of near ones may be noise, even below 0.
-    return max(growing(last), seconds_between(rows[0], last, found)), "~"
+    return found, max(growing(last), seconds_between(rows[0], last, found)), "~"
 
 
 def biases(result):
@@ -133,12 +150,14 @@ def biases(result):
 def times(result, target, samples=None):
     """{integrator: (seconds of a bake, mark)}; for another number of samples if one is given."""
     found = {}
-    factor = samples / result["samples"] if samples else 1
+    samples = samples or result["samples"]
     for name in NAMES:
         rows = result[name]
-        seconds, mark = to_error(rows, target, biases(result)[name])
-        still = min(fixed(result, r) for r in rows)
-        found[name] = (None if seconds is None else still + factor * seconds, mark)
+        rays, seconds, mark = to_error(rows, target, biases(result)[name])
+        found[name] = None, mark
+        if seconds is not None:
+            still = result["build"] + solving(result, rows, samples, rays)
+            found[name] = still + samples / result["samples"] * seconds, mark
     return found
 
 

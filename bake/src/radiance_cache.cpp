@@ -511,7 +511,7 @@ private:
 
 std::size_t RadianceCacheOptions::patchesFor(double rays)
 {
-    constexpr double kRaysPerPatch = 256, kFewest = 1024, kMost = 65536;
+    constexpr double kRaysPerPatch = 512, kFewest = 512, kMost = 65536;
     return static_cast<std::size_t>(std::clamp(rays / kRaysPerPatch, kFewest, kMost));
 }
 

@@ -389,8 +389,8 @@ TEST_CASE("A cached bake says so, with its bias", "[radiance_cache][bake]")
 TEST_CASE("Patches begin as many as the rays that will look at them ask for",
     "[radiance_cache][bake][heavy]")
 {
-    CHECK(RadianceCacheOptions::patchesFor(0) == 1024);
-    CHECK(RadianceCacheOptions::patchesFor(1e6) == 3906);
+    CHECK(RadianceCacheOptions::patchesFor(0) == 512);
+    CHECK(RadianceCacheOptions::patchesFor(1e6) == 1953);
     CHECK(RadianceCacheOptions::patchesFor(1e12) == 65536);
     const auto tracer = makeTracer(litRoom());
     const auto patches = [&](int rays, int levels) {

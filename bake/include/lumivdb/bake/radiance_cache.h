@@ -53,7 +53,7 @@ struct RadianceCacheOptions {
     /// as much as the sunlit plain around it.
     double residual = 3e-4;
     /// How many patches to begin with where probes will send about so many rays in all: solving
-    /// then takes no longer than tracing them, 1,024 patches at least, 65,536 at most. Errors of
+    /// then takes no longer than tracing them, 512 patches at least, 65,536 at most. Errors of
     /// patches average out over a probe's rays, so few rays need no better ones.
     static std::size_t patchesFor(double rays);
     /// @throws Error(Usage) naming the field, its value and the range.
