@@ -272,7 +272,7 @@ Json biasOf(const Tracer& tracer, const Settings& s, const Reference& reference)
     ProbeOptions options;
     RadianceCacheOptions cache; // as of the bake with the most rays
     cache.patches = RadianceCacheOptions::patchesFor(
-        static_cast<double>(reference.a.sampleCount()) * s.mostCached);
+        static_cast<double>(reference.a.sampleCount()), s.mostCached);
     options.cache = std::make_shared<const RadianceCache>(tracer, cache);
     options.rays = s.biasRays;
     const int bands = reference.a.bands();

@@ -90,7 +90,7 @@ def fixed(result, row):
 
 
 def patches(samples, rays):
-    return min(max(samples * rays / 512, 512), 65536)
+    return min(max(rays * math.sqrt(samples) / 12, 512), 65536)
 
 
 def solving(result, rows, samples, rays):

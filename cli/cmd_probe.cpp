@@ -151,8 +151,8 @@ std::shared_ptr<const RadianceCache> ProbeCommand::solveCache(
     RadianceCacheOptions cache;
     cache.maxBounces = mProbe.maxBounces;
     cache.seed = mProbe.seed;
-    cache.patches = RadianceCacheOptions::patchesFor(
-        static_cast<double>(points.size()) * static_cast<double>(mProbe.rays));
+    cache.patches
+        = RadianceCacheOptions::patchesFor(static_cast<double>(points.size()), mProbe.rays);
     for (const Vec3d& p : points) cache.box.extendBy(p);
     try {
         return std::make_shared<const RadianceCache>(tracer, cache, &progress);

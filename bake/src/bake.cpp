@@ -120,7 +120,7 @@ void solveCache(const Tracer& tracer, BakeOptions& options, BakeReport& report, 
     }
     RadianceCacheOptions cache;
     cache.box = bakeBox(tracer, options);
-    cache.patches = RadianceCacheOptions::patchesFor(foreseenSamples(tracer, options) * probe.rays);
+    cache.patches = RadianceCacheOptions::patchesFor(foreseenSamples(tracer, options), probe.rays);
     cache.maxBounces = probe.maxBounces;
     cache.seed = probe.seed;
     try {

@@ -509,10 +509,10 @@ private:
     std::vector<Link> mLinks;
 };
 
-std::size_t RadianceCacheOptions::patchesFor(double rays)
+std::size_t RadianceCacheOptions::patchesFor(double probes, double rays)
 {
-    constexpr double kRaysPerPatch = 512, kFewest = 512, kMost = 65536;
-    return static_cast<std::size_t>(std::clamp(rays / kRaysPerPatch, kFewest, kMost));
+    constexpr double kShare = 1.0 / 12, kFewest = 512, kMost = 65536;
+    return static_cast<std::size_t>(std::clamp(kShare * rays * std::sqrt(probes), kFewest, kMost));
 }
 
 void RadianceCacheOptions::validate() const

@@ -334,7 +334,7 @@ TEST_CASE("Scenes in too many pieces and bad options are refused", "[radiance_ca
 TEST_CASE(
     "A bake of a scene with no place for a cache is by path and says so", "[radiance_cache][bake]")
 {
-    // Hair: 1.2 million sides, all longer than a patch of full size (√(area/1024) = 2.1).
+    // Hair: 1.2 million sides, all longer than a patch of full size (√(area/512) = 3).
     Scene scene;
     Mesh hair;
     hair.material = addMaterial(scene, Color(0.5f), Color(0.0f), true);
@@ -389,9 +389,9 @@ TEST_CASE("A cached bake says so, with its bias", "[radiance_cache][bake]")
 TEST_CASE("Patches begin as many as the rays that will look at them ask for",
     "[radiance_cache][bake][heavy]")
 {
-    CHECK(RadianceCacheOptions::patchesFor(0) == 512);
-    CHECK(RadianceCacheOptions::patchesFor(1e6) == 1953);
-    CHECK(RadianceCacheOptions::patchesFor(1e12) == 65536);
+    CHECK(RadianceCacheOptions::patchesFor(0, 64) == 512);
+    CHECK(RadianceCacheOptions::patchesFor(900, 1024) == 2560);
+    CHECK(RadianceCacheOptions::patchesFor(1e8, 1024) == 65536);
     const auto tracer = makeTracer(litRoom());
     const auto patches = [&](int rays, int levels) {
         BakeOptions o = bakeOptions(0.2, Vec3d(0.2), Vec3d(1.4), rays);

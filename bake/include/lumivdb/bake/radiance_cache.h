@@ -52,10 +52,11 @@ struct RadianceCacheOptions {
     /// Of the solution: the largest |E − D − TE| / E of all patches, so that a small room counts
     /// as much as the sunlit plain around it.
     double residual = 3e-4;
-    /// How many patches to begin with where probes will send about so many rays in all: solving
-    /// then takes no longer than tracing them, 512 patches at least, 65,536 at most. Errors of
-    /// patches average out over a probe's rays, so few rays need no better ones.
-    static std::size_t patchesFor(double rays);
+    /// How many patches to begin with for so many probes of so many rays each: the more the less
+    /// noise the rays leave, and the more probes share the work. With errors that go as 1/√rays and
+    /// 1/√patches, the least time to an error is where patches go as rays · √probes; the factor
+    /// makes solving take about as long as tracing 500 probes. 512 … 65,536.
+    static std::size_t patchesFor(double probes, double rays);
     /// @throws Error(Usage) naming the field, its value and the range.
     void validate() const;
 };
