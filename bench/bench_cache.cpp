@@ -38,6 +38,7 @@ struct Settings {
     Box3d bounds;
     std::size_t points = 200;
     int referenceRays = 8192, threads = 1, most = 2048, repeats = 3, seeds = 1;
+    int solutions = 0, directions = 65536;
     RadianceCacheOptions cache;
 };
 
@@ -49,7 +50,9 @@ int usage(const char* program)
         "  [reference=8192 rays a point, twice] [most=2048 rays a point] [repeats=3]\n  [seeds=1: "
         "directions, which all points share, to take the mean square error over]\n  [front=1: "
         "lamps shine to their front] [contribution=all|direct|indirect]\n"
-        "  [patches=N] [rays=N a patch] [nearness=R] [maxpatches=N]\n",
+        "  [patches=N] [rays=N a patch] [nearness=R] [maxpatches=N]\n"
+        "or, instead of time against error, what N solutions have in common and how they differ:\n"
+        "  solutions=N [directions=65536 a point]\n",
         program);
     return 2;
 }
@@ -69,7 +72,8 @@ bool parse(int argc, char** argv, Settings& s)
             {"bounds", setting(s.bounds)}, {"points", setting(s.points)},
             {"threads", setting(s.threads)}, {"repeats", setting(s.repeats)},
             {"seeds", setting(s.seeds)}, {"reference", setting(s.referenceRays)},
-            {"most", setting(s.most)}, {"patches", setting(s.cache.patches)},
+            {"most", setting(s.most)}, {"solutions", setting(s.solutions)},
+            {"directions", setting(s.directions)}, {"patches", setting(s.cache.patches)},
             {"maxpatches", setting(s.cache.maxPatches)}, {"rays", setting(s.cache.rays)},
             {"nearness", setting(s.cache.nearness)}});
 }
@@ -211,6 +215,51 @@ void compare(const std::vector<Cost>& path, const std::vector<Cost>& cached, dou
     }
 }
 
+/// Errors that solutions of several seeds share, and how far each is from their mean: the first are
+/// of patches, the second of the noise they were solved with.
+void compareSolutions(const Tracer& tracer, const Settings& s, ProbeOptions options,
+    const std::vector<Vec3d>& points, const Reference& ref)
+{
+    const auto count = static_cast<double>(s.solutions);
+    std::vector<std::vector<Color>> fields;
+    std::vector<double> means;
+    std::vector<Color> mean(ref.values.size(), Color(0.0f));
+    options.rays = s.directions;
+    double seconds = 0;
+    for (int k = 1; k <= s.solutions; ++k) {
+        RadianceCacheOptions cache = s.cache;
+        cache.seed = options.seed = static_cast<std::uint64_t>(k);
+        seconds -= processorSeconds();
+        options.cache = std::make_shared<const RadianceCache>(tracer, cache);
+        seconds += processorSeconds();
+        fields.push_back(measure(tracer, options, points).values);
+        means.push_back(errorOf(fields.back(), ref).second);
+        for (std::size_t i = 0; i < mean.size(); ++i)
+            mean[i] += fields.back()[i] * static_cast<float>(1 / count);
+    }
+    double common = 0, spread = 0, center = 0, variance = 0;
+    for (int c = 0; c < 3; ++c) {
+        if (!(ref.mean[c] > 0)) continue;
+        double square = 0, apart = 0;
+        const auto n = static_cast<double>(mean.size());
+        for (std::size_t i = 0; i < mean.size(); ++i) {
+            square += std::pow(static_cast<double>(mean[i][c] - ref.values[i][c]), 2) / n;
+            for (const std::vector<Color>& f : fields)
+                apart += std::pow(static_cast<double>(f[i][c] - mean[i][c]), 2) / n / (count - 1);
+        }
+        const double shared = std::max(0.0, square - ref.noise2[c] - apart / count);
+        common = std::max(common, std::sqrt(shared) / ref.mean[c]);
+        spread = std::max(spread, std::sqrt(apart) / ref.mean[c]);
+    }
+    for (const double m : means) center += m / count;
+    for (const double m : means) variance += (m - center) * (m - center) / (count - 1) / count;
+    std::printf("%d solutions, %d directions, solved in %.2f s each: mean %+.3f%% +- %.3f%% (of "
+                "the solutions), common "
+                "rms %.3f%%, spread %.3f%%\n",
+        s.solutions, s.directions, seconds / count, 100 * center, 100 * std::sqrt(variance),
+        100 * common, 100 * spread);
+}
+
 int run(int argc, char** argv)
 {
     Settings s;
@@ -261,6 +310,10 @@ int run(int argc, char** argv)
     }
     std::printf("reference: 2 x %d paths, noise %.3f%%, %.3f ms a point each\n", s.referenceRays,
         100 * noise, a.seconds * 1e3 / static_cast<double>(points.size()));
+    if (s.solutions > 1) {
+        compareSolutions(tracer, s, cached, points, ref);
+        return 0;
+    }
     const std::vector<Cost> pathCosts = curve("path", tracer, plain, s, points, ref);
     compare(pathCosts, curve("cached", tracer, cached, s, points, ref), solve);
     // The bias: two independent sets of many directions, whose common part is the bias.
