@@ -108,22 +108,20 @@ EmitterTable::Choice EmitterTable::chooseTriangle(const Receiver& to, double& t)
     return {index, mTriangles[index].probability};
 }
 
-EmitterSample EmitterTable::environmentSample(
-    const Receiver& to, const Environment::Sample& e) const
+EmitterPoint EmitterTable::environmentSample(const Receiver& to, const Environment::Sample& e) const
 {
-    EmitterSample s;
-    s.direction = Vec3f(e.direction);
-    s.infinite = true;
+    EmitterPoint s;
+    s.place = Vec3f(e.direction);
+    s.offset = -1;
     s.radiance = e.radiance;
-    s.pdf = e.pdf * environmentDensity(to, e.sun);
+    s.density = static_cast<float>(e.pdf * environmentDensity(to, e.sun));
     return s;
 }
 
-EmitterSample EmitterTable::sampleSkyTexel(
-    const Receiver& to, std::int64_t texel, double u, double v) const
+EmitterPoint EmitterTable::sampleSkyTexel(
+    const Receiver& to, std::uint32_t texel, double u, double v) const
 {
-    return environmentSample(
-        to, mEnvironment->sampleTexel(static_cast<std::uint32_t>(texel), u, v));
+    return environmentSample(to, mEnvironment->sampleTexel(texel, u, v));
 }
 
 double EmitterTable::sunChance(const Receiver& to) const

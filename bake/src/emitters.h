@@ -16,14 +16,19 @@
 
 namespace lumivdb {
 
-/// A direction in which light may arrive, drawn by EmitterTable::sample().
-struct EmitterSample {
-    Vec3f direction{0, 0, 0}; ///< unit, away from the reference point
-    Vec3f target{0, 0, 0}; ///< end of the shadow ray; used when not infinite
-    bool infinite = false;
-    Vec3f normal{0, 0, 0}; ///< of the surface there, either way; 0 where infinite
+/// A place that gives light, drawn by EmitterTable::sample(): on a triangle, or infinitely far
+/// away.
+struct EmitterPoint {
+    Vec3f place{0, 0, 0}; ///< on the triangle; where infinite, the unit direction towards it
+    Vec3f normal{0, 0, 0}; ///< unit, of the triangle's front; 0 where infinite
+    float offset = 0; ///< see SurfacePoint::offset; negative: infinitely far away
+    bool twoSided = false; ///< whether the back shines too
+    /// Of the draw, choice of the emitter included: per unit of area, per steradian where infinite.
+    /// 0: nothing was drawn.
+    float density = 0;
     Color radiance{0, 0, 0};
-    double pdf = 0; ///< per steradian, choice of the emitter included; 0: nothing
+
+    bool infinite() const { return offset < 0; }
 };
 
 /// Emissive triangles and the environment, which is as likely as all of them. Up to kFewEmitters
@@ -49,6 +54,9 @@ public:
     void finish(std::shared_ptr<const Environment> environment);
 
     bool empty() const { return mCdf.empty() && !(mEnvironmentProbability > 0); }
+    bool hasSky() const { return mEnvironmentProbability > 0; }
+    /// Whether what is drawn depends on the receiver's place.
+    bool dependsOnPlace() const { return !mTree.empty(); }
     std::size_t triangleCount() const { return mTriangles.size(); }
     const std::vector<Triangle>& triangles() const { return mTriangles; }
 
@@ -58,29 +66,28 @@ public:
     /// Hilbert curve. Stratified t give stratified emitters and stratified points of each.
     /// @a emission(triangle index, u, v) gives the radiance of a triangle's front.
     template <class Emission>
-    EmitterSample sampleStratum(const Receiver& to, double t, const Emission& emission) const;
+    EmitterPoint sampleStratum(const Receiver& to, double t, const Emission& emission) const;
 
-    /// Draws the emitter from t and the point on it from u, v: for independent random numbers.
+    /// From independent random numbers: the emitter by t, the point on it by u, v. The sky's texels
+    /// are all over memory, so that many draws go step by step: first skyRest(t), and prefetchSky()
+    /// where that is not negative; then skyTexel() of those; then sampleSkyTexel() of them and
+    /// sampleElsewhere() of the others.
+    /// What t ∈ [0, 1) has left where it draws the sky (all of an environment without a sun).
+    double skyRest(const Receiver& to, double t) const
+    {
+        const double rest = environmentRest(t);
+        if (!(rest >= 0) || !(mSun.share > 0)) return rest;
+        const double sun = sunChance(to);
+        return rest < sun ? -1.0 : std::min((rest - sun) / (1 - sun), 0x1.fffffffffffffp-1);
+    }
+    void prefetchSky(double rest) const { mEnvironment->prefetchDraw(rest); }
+    std::uint32_t skyTexel(double rest) const { return mEnvironment->drawTexel(rest); }
     template <class Emission>
-    EmitterSample sample(
+    EmitterPoint sampleElsewhere(
         const Receiver& to, double t, double u, double v, const Emission& emission) const;
+    EmitterPoint sampleSkyTexel(const Receiver& to, std::uint32_t texel, double u, double v) const;
 
-    /// sample() for many, see Environment: first prefetch(t) for all, then skyTexel(t) for all,
-    /// which is −1 where t does not draw the sky (all of an environment that has no sun), else what
-    /// sampleSkyTexel() takes.
-    void prefetch(const Receiver& to, double t) const
-    {
-        const double rest = skyRest(to, t);
-        if (rest >= 0) mEnvironment->prefetchDraw(rest);
-    }
-    std::int64_t skyTexel(const Receiver& to, double t) const
-    {
-        const double rest = skyRest(to, t);
-        return rest >= 0 ? std::int64_t{mEnvironment->drawTexel(rest)} : -1;
-    }
-    EmitterSample sampleSkyTexel(const Receiver& to, std::int64_t texel, double u, double v) const;
-
-    /// Density of sample() at @a to for a triangle met at @a distance under |cos| = @a cosine.
+    /// Density of these draws at @a to for a triangle met at @a distance under |cos| = @a cosine.
     double pdfTriangle(const Receiver& to, int emitter, double distance, double cosine) const;
     /// Density at @a to of all that draws directions of the environment (its part @a sun, or the
     /// sky), over that of Environment::sample().
@@ -96,7 +103,7 @@ private:
     Choice choose(const Receiver& to, double& t) const;
     Choice chooseTriangle(const Receiver& to, double& t) const;
     template <class Emission>
-    EmitterSample samplePoint(const Choice& choice, const Receiver& to, double s, double t,
+    EmitterPoint samplePoint(const Choice& choice, const Receiver& to, double s, double t,
         const Emission& emission) const;
     /// What t ∈ [0, 1) has left where it draws the environment, else negative.
     double environmentRest(double t) const
@@ -105,17 +112,9 @@ private:
             ? std::min((t - mEnvironmentStart) * mPerEnvironmentProbability, 0x1.fffffffffffffp-1)
             : -1.0;
     }
-    /// What t has left where it draws the sky, else negative.
-    double skyRest(const Receiver& to, double t) const
-    {
-        const double rest = environmentRest(t);
-        if (!(rest >= 0) || !(mSun.share > 0)) return rest;
-        const double sun = sunChance(to);
-        return rest < sun ? -1.0 : std::min((rest - sun) / (1 - sun), 0x1.fffffffffffffp-1);
-    }
     /// Of drawing the sun, where the environment is drawn.
     double sunChance(const Receiver& to) const;
-    EmitterSample environmentSample(const Receiver& to, const Environment::Sample& e) const;
+    EmitterPoint environmentSample(const Receiver& to, const Environment::Sample& e) const;
 
     std::vector<Triangle> mTriangles;
     std::shared_ptr<const Environment> mEnvironment;

@@ -64,6 +64,10 @@ bool PunctualTable::sample(const Receiver& to, double t, PunctualSample& light) 
 
 bool PunctualTable::sampleWeighed(const Receiver& to, double t, PunctualSample& light) const
 {
+    if (mPositions.size() == 1) {
+        light = at(0, to.position);
+        return to.normal.dot(light.direction) > 0 && luminance(light.irradiance) > 0;
+    }
     float weights[kWeighedLights];
     float total = 0;
     for (std::size_t i = 0; i < mPositions.size(); ++i) {

@@ -3,8 +3,6 @@
 
 #include "directions.h"
 
-#include <cmath>
-
 namespace lumivdb {
 
 /// Barycentrics of b and c, uniform over the triangle and with little distortion (Heitz, "A
@@ -23,7 +21,7 @@ inline Vec2f squareToTriangle(const Vec2d& square)
 }
 
 template <class Emission>
-EmitterSample EmitterTable::sampleStratum(
+EmitterPoint EmitterTable::sampleStratum(
     const Receiver& to, double t, const Emission& emission) const
 {
     const Choice choice = choose(to, t);
@@ -32,17 +30,15 @@ EmitterSample EmitterTable::sampleStratum(
 }
 
 template <class Emission>
-EmitterSample EmitterTable::sample(
+EmitterPoint EmitterTable::sampleElsewhere(
     const Receiver& to, double t, double u, double v, const Emission& emission) const
 {
-    const std::int64_t texel = skyTexel(to, t);
-    if (texel >= 0) return sampleSkyTexel(to, texel, u, v);
     const Choice choice = choose(to, t);
     return samplePoint(choice, to, u, v, emission);
 }
 
 template <class Emission>
-EmitterSample EmitterTable::samplePoint(const Choice& choice, const Receiver& to, double squareU,
+EmitterPoint EmitterTable::samplePoint(const Choice& choice, const Receiver& to, double squareU,
     double squareV, const Emission& emission) const
 {
     if (!(choice.probability > 0)) return {};
@@ -52,25 +48,15 @@ EmitterSample EmitterTable::samplePoint(const Choice& choice, const Receiver& to
             sun ? mEnvironment->sampleSun(squareU, squareV)
                 : mEnvironment->sampleSky(squareU, squareV));
     }
-    const Vec3f from = to.position;
-    const Vec2f place = squareToTriangle({squareU, squareV});
-    const float u = place.x, v = place.y;
+    const Vec2f at = squareToTriangle({squareU, squareV});
     const Triangle& e = mTriangles[choice.emitter];
-    EmitterSample s;
-    Vec3f point = e.a + e.ab * u + e.ac * v;
-    const float facing = e.normal.dot(from - point);
-    if (facing == 0 || (facing < 0 && !e.doubleSided)) return s;
-    point += e.normal * (facing > 0 ? e.offset : -e.offset);
-    const Vec3d d = Vec3d(point) - Vec3d(from);
-    const double distance2 = d.length2();
-    if (!(distance2 > 0)) return s;
-    s.direction = Vec3f(d * (1 / std::sqrt(distance2)));
-    s.target = point;
+    EmitterPoint s;
+    s.place = e.a + e.ab * at.x + e.ac * at.y;
     s.normal = e.normal;
-    const double cosine = std::abs(static_cast<double>(e.normal.dot(s.direction)));
-    if (!(cosine > 0)) return s;
-    s.pdf = choice.probability / e.area * distance2 / cosine;
-    s.radiance = emission(e.triangle, u, v);
+    s.offset = e.offset;
+    s.twoSided = e.doubleSided;
+    s.density = static_cast<float>(choice.probability / e.area);
+    s.radiance = emission(e.triangle, at.x, at.y);
     return s;
 }
 

@@ -145,7 +145,7 @@ void GradientCollector::collectEmitters(const PathBatchResult& batch, int n)
     for (int i = 0; i < n; ++i) {
         const InversePlane& plane = batch.emitterPlane[i];
         if (!(plane.inverse > 0) || !(maxComponent(batch.emitter[i]) > 0)) continue;
-        const Vec3f d(batch.ex[i], batch.ey[i], batch.ez[i]);
+        const Vec3f d = batch.emitterDirection[i];
         mPoints[count++] = {d, plane.inverse, plane.slope, batch.emitter[i]};
         mArrivals.push_back(
             {static_cast<std::uint32_t>(mTables->cells.cellAt(d)), batch.emitter[i], plane.slope});

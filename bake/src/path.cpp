@@ -33,62 +33,9 @@ constexpr std::uint64_t kEmitterStream = 0x51ed270b35ae3d29ull;
 /// A lower survival than the albedo squared would make the variance infinite.
 constexpr int kLongPath = 2048;
 constexpr float kLongPathSurvival = 0.999f;
-/// Shadow rays stop this much short of the light, in their length: Embree's distances round.
-constexpr float kShadowEnd = 1 - 0x1p-17f;
-
 double fraction(double x) { return x - std::floor(x); }
 float maxComponent(const Color& c) { return std::max({c.x, c.y, c.z}); }
 
-/// Cosine-distributed direction about unit @a n, unit to rounding (Malley; frame of Duff et al.,
-/// JCGT 6(1), 2017).
-Vec3f cosineDirection(const Vec3f& n, float u1, float u2)
-{
-    const float sign = std::copysign(1.0f, n.z);
-    const float a = -1 / (sign + n.z), b = n.x * n.y * a;
-    const Vec3f t(1 + sign * n.x * n.x * a, sign * b, -sign * n.x);
-    const Vec3f s(b, sign + n.y * n.y * a, -n.y);
-    const float r = std::sqrt(u1), phi = 2 * kPi * u2;
-    return t * (r * std::cos(phi)) + s * (r * std::sin(phi))
-        + n * std::sqrt(std::max(1 - u1, 1e-12f));
-}
-
-/// Survival probability of a path: paths that carry much go on for certain, the others in
-/// proportion, so that what survives carries about half.
-float survival(const Color& throughput, int bounce)
-{
-    const float q = std::min(1.0f, 2 * maxComponent(throughput));
-    return bounce < kLongPath ? q : std::min(q, kLongPathSurvival);
-}
-
-void pushShadow(RayBatch& rays, const Vec3f& from, const EmitterSample& s)
-{
-    if (s.infinite) {
-        rays.push(from, s.direction, kInfinity);
-    } else {
-        rays.push(from, s.target - from, kShadowEnd);
-    }
-}
-
-EmitterSample sampleStratum(const Tracer::Impl& impl, const Vec3f& p, double t)
-{
-    return impl.emitters.sampleStratum({p}, t, [&](std::uint32_t triangle, float u, float v) {
-        return impl.emissionAt(impl.triangles[triangle], u, v);
-    });
-}
-
-void prefetchSurfaces(const Tracer::Impl& impl, const HitBatch& hits, int count)
-{
-    for (int i = 0; i < count && !impl.texels.empty(); ++i) {
-        if (hits.triangle[i] == kMiss) continue;
-        impl.prefetchAlbedo(hits.triangle[i], hits.u[i], hits.v[i]);
-    }
-}
-
-/// Balance heuristic over one uniform and one emitter direction a stratum.
-Color probeValue(const EmitterSample& s)
-{
-    return s.radiance * static_cast<float>(1 / (s.pdf + kUniformPdf));
-}
 float uniformWeight(double pdf) { return static_cast<float>(kUniformPdf / (kUniformPdf + pdf)); }
 
 /// What a ray from @a to that leaves the scene brings, and the density of drawing that way.
@@ -100,33 +47,32 @@ Environment::Arrival background(const Tracer::Impl& impl, const Receiver& to, co
     return light;
 }
 
-ProbeStratum makeStratum(
-    const Tracer::Impl& impl, const ProbeOptions& options, const Vec3f& direction, double position)
-{
-    ProbeStratum stratum;
-    if (options.contribution == Contribution::Indirect) return stratum;
-    stratum.t = position;
-    const EmitterSample s
-        = impl.emitters.empty() ? EmitterSample() : sampleStratum(impl, Vec3f(0), stratum.t);
-    if (s.infinite && s.pdf > 0) {
-        stratum.infinite = s.direction;
-        stratum.value = probeValue(s);
-    }
-    const Environment::Arrival light = background(impl, {}, direction);
-    stratum.background = light.radiance * uniformWeight(light.pdf);
-    return stratum;
-}
-
 } // namespace
 
-std::vector<ProbeStratum> probeStrata(const Tracer::Impl& impl, const ProbeOptions& options,
+Color PathTracer::emissionOf(std::uint32_t triangle, float u, float v) const
+{
+    return mImpl.emissionAt(mImpl.triangles[triangle], u, v);
+}
+
+std::vector<ProbeStrata> probeStrata(const Tracer::Impl& impl, const ProbeOptions& options,
     const std::vector<Vec3f>& directions, int set)
 {
+    std::vector<ProbeStrata> strata((directions.size() + kBatch - 1) / kBatch);
+    if (options.contribution == Contribution::Indirect) return strata;
     const auto positions = nestedPositions(
         options.seed ^ kEmitterStream, static_cast<std::uint64_t>(options.rays), set);
-    std::vector<ProbeStratum> strata(directions.size());
-    tbb::parallel_for(std::size_t{0}, strata.size(), [&](std::size_t i) {
-        strata[i] = makeStratum(impl, options, directions[i], positions[i]);
+    const auto emission = [&](std::uint32_t triangle, float u, float v) {
+        return impl.emissionAt(impl.triangles[triangle], u, v);
+    };
+    tbb::parallel_for(std::size_t{0}, directions.size(), [&](std::size_t number) {
+        ProbeStrata& batch = strata[number / kBatch];
+        const int i = static_cast<int>(number % kBatch);
+        batch.position[i] = positions[number];
+        if (!impl.emitters.empty()) {
+            batch.emitters.set(i, impl.emitters.sampleStratum({}, positions[number], emission));
+        }
+        const Environment::Arrival light = background(impl, {}, directions[number]);
+        batch.background.set(i, light.radiance * uniformWeight(light.pdf));
     });
     return strata;
 }
@@ -148,23 +94,16 @@ void PathTracer::note(const RayBatch& rays, bool shadow)
     }
 }
 
-void PathTracer::trace(const Vec3f& p, const Vec3f* directions, std::uint64_t first, int count,
-    std::uint64_t key, PathBatchResult& result)
+void PathTracer::trace(const Vec3f& p, const Vec3f* directions, const ProbeStrata& strata,
+    std::uint64_t first, int count, std::uint64_t key, PathBatchResult& result)
 {
-    const ProbeStratum* strata = mStrata ? mStrata->data() + first : mOwnStrata;
-    for (int i = 0; !mStrata && i < count; ++i) {
-        const double position = jitteredStratum(mOptions.seed ^ kEmitterStream,
-            first + static_cast<std::uint64_t>(i), static_cast<std::uint64_t>(mOptions.rays));
-        mOwnStrata[i] = makeStratum(mImpl, mOptions, directions[i], position);
-    }
     result.traced = 0;
     result.rays.count = 0;
     for (int i = 0; i < count; ++i) {
         result.rays.push(p, directions[i], kInfinity);
-        result.uniform[i] = Color(0.0f);
-        result.emitter[i] = Color(0.0f);
-        result.ex[i] = result.ey[i] = 0;
-        result.ez[i] = 1;
+        result.uniform.set(i, Color(0.0f));
+        result.emitter.set(i, Color(0.0f));
+        result.emitterDirection.set(i, Vec3f(0, 0, 1));
         if (result.wantPlanes) result.emitterPlane[i] = InversePlane();
     }
     if (mOptions.contribution != Contribution::Indirect && !mImpl.emitters.empty()) {
@@ -173,13 +112,13 @@ void PathTracer::trace(const Vec3f& p, const Vec3f* directions, std::uint64_t fi
     intersectCoherent(mImpl, result.rays, result.hits);
     note(result.rays, false);
     result.traced += static_cast<std::uint64_t>(count);
-    startPaths(p, strata, first, count, key, result);
+    startPaths(strata, first, key, result);
     if (mOptions.contribution == Contribution::Direct || mOptions.maxBounces == 0) return;
     if (mOptions.cache) {
         lookUp(result);
         return;
     }
-    for (int bounce = 1; mPathCount > 0; ++bounce) {
+    for (int bounce = 1; mPaths.count > 0; ++bounce) {
         if (mOptions.maxBounces >= 0 && bounce > mOptions.maxBounces) break;
         reflectFromEmitters(result);
         reflectFromPunctual(result);
@@ -187,80 +126,151 @@ void PathTracer::trace(const Vec3f& p, const Vec3f* directions, std::uint64_t fi
     }
 }
 
-void PathTracer::sampleEmittersAtProbe(
-    const Vec3f& p, const ProbeStratum* strata, int count, PathBatchResult& result)
+/// Draws again those of a batch's emitters that depend on the place.
+void PathTracer::placeEmitters(const Vec3f& p, const ProbeStrata& strata, int count)
 {
-    mShadow.count = 0;
-    const auto add = [&](int i, const Vec3f& direction, const Color& value) {
-        mShadowValue[mShadow.count - 1] = value;
-        mShadowStratum[mShadow.count - 1] = i;
-        result.ex[i] = direction.x;
-        result.ey[i] = direction.y;
-        result.ez[i] = direction.z;
-    };
+    mEmitters = strata.emitters;
+    const auto emission
+        = [&](std::uint32_t triangle, float u, float v) { return emissionOf(triangle, u, v); };
     for (int i = 0; i < count; ++i) {
-        if (strata[i].infinite != Vec3f(0)) {
-            mShadow.push(p, strata[i].infinite, kInfinity);
-            add(i, strata[i].infinite, strata[i].value);
-            continue;
-        }
-        const EmitterSample s = sampleStratum(mImpl, p, strata[i].t);
-        if (!(s.pdf > 0)) continue;
-        pushShadow(mShadow, p, s);
-        add(i, s.direction, probeValue(s));
-        if (result.wantPlanes && !s.infinite) {
-            result.emitterPlane[i] = InversePlane(s.normal, s.direction, (s.target - p).length());
-        }
-    }
-    occlude(mImpl, mShadow, mOccluded);
-    note(mShadow, true);
-    result.traced += static_cast<std::uint64_t>(mShadow.count);
-    for (int j = 0; j < mShadow.count; ++j) {
-        if (!mOccluded[j]) result.emitter[mShadowStratum[j]] = mShadowValue[j];
+        if (mEmitters.offset[i] < 0) continue; // infinitely far away
+        mEmitters.set(i, mImpl.emitters.sampleStratum({p}, strata.position[i], emission));
     }
 }
 
-void PathTracer::startPaths(const Vec3f& p, const ProbeStratum* strata, std::uint64_t first,
-    int count, std::uint64_t key, PathBatchResult& result)
+void PathTracer::sampleEmittersAtProbe(
+    const Vec3f& p, const ProbeStrata& strata, int count, PathBatchResult& result)
 {
-    const bool direct = mOptions.contribution != Contribution::Indirect;
-    prefetchSurfaces(mImpl, result.hits, count);
-    mPathCount = 0;
-    for (int i = 0; i < count; ++i) {
-        const Vec3f d = result.rays.direction(i);
-        result.backFace[i] = false;
-        if (result.wantPlanes) result.plane[i] = InversePlane();
-        if (result.hits.triangle[i] == kMiss) {
-            result.uniform[i] = strata[i].background;
+    const bool place = mImpl.emitters.dependsOnPlace();
+    if (place) placeEmitters(p, strata, count);
+    const EmitterBatch& emitters = place ? mEmitters : strata.emitters;
+    mShadow.rays.count = 0;
+    aimFrom(p, emitters, count, result.emitterDirection, mShadow);
+    occlude(mImpl, mShadow.rays, mShadow.occluded);
+    note(mShadow.rays, true);
+    result.traced += static_cast<std::uint64_t>(mShadow.rays.count);
+    for (int j = 0; j < mShadow.rays.count; ++j) {
+        const int i = mShadow.stratum[j];
+        if (!mShadow.occluded[j]) result.emitter.set(i, mShadow.value[j]);
+        if (result.wantPlanes && emitters.offset[i] >= 0) {
+            result.emitterPlane[i] = InversePlane(
+                emitters.normal[i], result.emitterDirection[i], mShadow.rays.direction(j).length());
+        }
+    }
+}
+
+/// Finds the surfaces that rays met: mMet, and the surfaces of mPaths, by the same numbers.
+void PathTracer::meet(const RayBatch& rays, const HitBatch& hits)
+{
+    int count = 0;
+    for (int i = 0; i < rays.count; ++i) {
+        mMet.ray[count] = i;
+        if (hits.triangle[i] == kMiss) continue;
+        ++count;
+        mImpl.prefetch(hits.triangle[i]);
+    }
+    mMet.count = count;
+    for (int k = 0; k < count; ++k) {
+        const int i = mMet.ray[k];
+        const Tracer::Impl::Instance* const instance = mImpl.instanceOf(hits.triangle[i]);
+        const Tracer::Impl::Triangle& triangle = mImpl.stored(hits.triangle[i], instance);
+        const Corners corners = mImpl.corners(triangle, instance);
+        mMet.triangle[k] = &triangle;
+        mMet.a.set(k, corners.a);
+        mMet.b.set(k, corners.b);
+        mMet.c.set(k, corners.c);
+        mMet.direction.set(k, rays.direction(i));
+        mMet.stretch[k] = instance ? instance->stretch : 1.0f;
+        mMet.least[k] = instance ? instance->rounding() : 0.0f;
+        mPaths.triangle[k] = hits.triangle[i];
+        mPaths.u[k] = hits.u[i];
+        mPaths.v[k] = hits.v[i];
+        mPaths.distance[k] = hits.t[i];
+        if (!mImpl.looks[triangle.mesh].evenAlbedo) {
+            mMet.texels[k] = mImpl.placeAlbedo(triangle, hits.u[i], hits.v[i]);
+        }
+    }
+    findSurfaces(mMet, mPaths);
+    for (int k = 0; k < count; ++k) {
+        const Tracer::Impl::Triangle& triangle = *mMet.triangle[k];
+        const Tracer::Impl::Look& look = mImpl.looks[triangle.mesh];
+        const bool behind = mMet.facing[k] > 0;
+        if (std::isnan(mMet.facing[k]) || (behind && !look.doubleSided)) {
+            meetAgain(k, rays, hits);
             continue;
         }
-        Path& path = mPaths[mPathCount];
-        path.surface = mImpl.surfaceSeen(
-            p, d, result.hits.triangle[i], result.hits.t[i], result.hits.u[i], result.hits.v[i]);
-        const SurfacePoint& s = path.surface;
-        result.backFace[i] = s.backFace;
-        if (result.wantPlanes) result.plane[i] = InversePlane(s.normal, d, result.hits.t[i]);
-        if (direct && s.emitter >= 0) {
-            const double pdf = mImpl.emitters.pdfTriangle(
-                {p}, s.emitter, result.hits.t[i], std::abs(s.normal.dot(d)));
-            result.uniform[i] = s.emission * uniformWeight(pdf);
-        }
-        if (maxComponent(s.albedo) <= 0) continue;
-        path.throughput = Color(1.0f);
-        path.distance = result.hits.t[i];
-        path.stratum = i;
-        path.rng = CounterRng(hashCombine(key, first + static_cast<std::uint64_t>(i)));
-        ++mPathCount;
+        mPaths.behind[k] = behind;
+        mMet.backFace[k] = false;
+        const float u = mPaths.u[k], v = mPaths.v[k];
+        mPaths.albedo.set(k,
+            look.evenAlbedo ? look.albedo
+                            : mImpl.albedoFrom(triangle, mMet.texels[k], u, v, nullptr));
+        mMet.emitter[k] = behind && look.emitsFrontOnly ? -1 : triangle.emitter;
+        if (mMet.emitter[k] >= 0) mMet.emission.set(k, mImpl.emissionAt(triangle, u, v));
     }
+}
+
+/// What surfaceSeen() says of the surface number @a k: backs, and triangles next to nothing.
+void PathTracer::meetAgain(int k, const RayBatch& rays, const HitBatch& hits)
+{
+    const int i = mMet.ray[k];
+    const SurfacePoint s = mImpl.surfaceSeen({rays.ox[i], rays.oy[i], rays.oz[i]},
+        rays.direction(i), hits.triangle[i], hits.t[i], hits.u[i], hits.v[i]);
+    mPaths.leaving.set(k, s.leaving());
+    mPaths.normal.set(k, s.normal);
+    mPaths.albedo.set(k, s.albedo);
+    mPaths.u[k] = s.u;
+    mPaths.v[k] = s.v;
+    mPaths.triangle[k] = s.triangle;
+    mPaths.behind[k] = s.behind;
+    mMet.facing[k] = -s.normal.dot(rays.direction(i));
+    mMet.backFace[k] = s.backFace;
+    mMet.emitter[k] = s.emission == Color(0.0f) ? -1 : s.emitter;
+    mMet.emission.set(k, s.emission);
+}
+
+void PathTracer::startPaths(
+    const ProbeStrata& strata, std::uint64_t first, std::uint64_t key, PathBatchResult& result)
+{
+    const bool direct = mOptions.contribution != Contribution::Indirect;
+    const RayBatch& rays = result.rays;
+    for (int i = 0; i < rays.count; ++i) {
+        result.backFace[i] = false;
+        if (result.wantPlanes) result.plane[i] = InversePlane();
+        if (result.hits.triangle[i] == kMiss) result.uniform.set(i, strata.background[i]);
+    }
+    meet(rays, result.hits);
+    int count = 0;
+    for (int k = 0; k < mMet.count; ++k) {
+        const int i = mMet.ray[k];
+        const Vec3f d = rays.direction(i);
+        result.backFace[i] = mMet.backFace[k];
+        if (result.wantPlanes) {
+            result.plane[i] = InversePlane(mPaths.normal[k], d, result.hits.t[i]);
+        }
+        if (direct && mMet.emitter[k] >= 0) {
+            const Vec3f p(rays.ox[i], rays.oy[i], rays.oz[i]);
+            const double pdf = mImpl.emitters.pdfTriangle(
+                {p}, mMet.emitter[k], result.hits.t[i], std::abs(mMet.facing[k]));
+            result.uniform.set(i, mMet.emission[k] * uniformWeight(pdf));
+        }
+        if (maxComponent(mPaths.albedo[k]) <= 0) continue;
+        if (count != k) mPaths.moveSurface(k, count);
+        mPaths.throughput.set(count, Color(1.0f));
+        mPaths.stratum[count] = i;
+        mPaths.rng[count] = CounterRng(hashCombine(key, first + static_cast<std::uint64_t>(i)));
+        ++count;
+    }
+    mPaths.count = count;
 }
 
 void PathTracer::addUnoccluded(PathBatchResult& result)
 {
-    occludeScattered(mImpl, mShadow, mOccluded);
-    note(mShadow, true);
-    result.traced += static_cast<std::uint64_t>(mShadow.count);
-    for (int j = 0; j < mShadow.count; ++j) {
-        if (!mOccluded[j]) result.uniform[mShadowStratum[j]] += mShadowValue[j];
+    occludeScattered(mImpl, mShadow.rays, mShadow.occluded);
+    note(mShadow.rays, true);
+    result.traced += static_cast<std::uint64_t>(mShadow.rays.count);
+    for (int j = 0; j < mShadow.rays.count; ++j) {
+        if (!mShadow.occluded[j]) result.uniform.add(mShadow.stratum[j], mShadow.value[j]);
     }
 }
 
@@ -270,84 +280,95 @@ void PathTracer::addUnoccluded(PathBatchResult& result)
 /// place's: it is gathered by a path of one more surface.
 void PathTracer::lookUp(PathBatchResult& result)
 {
-    for (int bounce = 1; mPathCount > 0; ++bounce) {
+    for (int bounce = 1; mPaths.count > 0; ++bounce) {
         int kept = 0;
-        for (int j = 0; j < mPathCount; ++j) {
-            Path& path = mPaths[j];
-            const SurfacePoint& s = path.surface;
-            const RadianceCache::Light light = mOptions.cache->at(s.triangle, s.u, s.v, s.behind);
-            // One surface more would be one reflection too many where they are counted.
-            path.goesOn = bounce == 1 && mOptions.maxBounces < 0
-                && path.distance < kNearPatches * light.extent;
-            if (!path.goesOn) {
-                result.uniform[path.stratum]
-                    += path.throughput * s.albedo * light.irradiance * (1 / kPi);
+        const auto keep = [&](int j) {
+            if (kept != j) {
+                mPaths.moveSurface(j, kept);
+                mPaths.movePath(j, kept);
             }
-            if (path.goesOn || light.mixed) mPaths[kept++] = path;
+            ++kept;
+        };
+        for (int j = 0; j < mPaths.count; ++j) {
+            const RadianceCache::Light light = mOptions.cache->at(
+                mPaths.triangle[j], mPaths.u[j], mPaths.v[j], mPaths.behind[j]);
+            // One surface more would be one reflection too many where they are counted.
+            mPaths.goesOn[j] = bounce == 1 && mOptions.maxBounces < 0
+                && mPaths.distance[j] < kNearPatches * light.extent;
+            if (!mPaths.goesOn[j]) {
+                result.uniform.add(mPaths.stratum[j],
+                    mPaths.throughput[j] * mPaths.albedo[j] * light.irradiance * (1 / kPi));
+            }
+            if (mPaths.goesOn[j] || light.mixed) keep(j);
         }
-        mPathCount = kept;
+        mPaths.count = kept;
         if (kept == 0) return;
         reflectFromEmitters(result);
         reflectFromPunctual(result);
         scatter(bounce, result);
-        const Path* const end = std::remove_if(
-            mPaths, mPaths + mPathCount, [](const Path& path) { return !path.goesOn; });
-        mPathCount = static_cast<int>(end - mPaths);
+        kept = 0;
+        for (int j = 0; j < mPaths.count; ++j) {
+            if (mPaths.goesOn[j]) keep(j);
+        }
+        mPaths.count = kept;
     }
 }
 
 void PathTracer::gather(const SurfacePoint* points, const GatherDraw* draws, int count,
     int emitterSamples, PathBatchResult& result)
 {
-    mPathCount = count;
+    mPaths.count = count;
     result.traced = 0;
     for (int i = 0; i < count; ++i) {
-        result.uniform[i] = Color(0.0f);
+        result.uniform.set(i, Color(0.0f));
         result.backFace[i] = false;
-        Path& path = mPaths[i];
-        path.surface = points[i];
-        path.surface.albedo = path.throughput = Color(1.0f);
-        path.stratum = i;
-        path.rng = CounterRng(draws[i].key);
+        mPaths.leaving.set(i, points[i].leaving());
+        mPaths.normal.set(i, points[i].normal);
+        mPaths.albedo.set(i, Color(1.0f));
+        mPaths.throughput.set(i, Color(1.0f));
+        mPaths.stratum[i] = i;
+        mPaths.rng[i] = CounterRng(draws[i].key);
     }
     reflectFromPunctual(result);
-    std::copy_n(result.uniform, count, result.emitter);
+    result.emitter = result.uniform;
     mEmitterSamples = emitterSamples;
     for (int i = 0; i < emitterSamples; ++i) reflectFromEmitters(result, draws, i);
-    findOpen(points, draws, count, result);
-    mNext.count = 0;
+    findOpen(draws, result);
     for (int i = 0; i < count; ++i) {
-        const Vec3f d = cosineDirection(points[i].normal, draws[i].square.x, draws[i].square.y);
-        mNext.push(points[i].leaving(), d, kInfinity);
+        mScatter.u[i] = draws[i].square.x;
+        mScatter.v[i] = draws[i].square.y;
     }
+    cosineRays(mPaths, mScatter, mNext);
     intersectCoherent(mImpl, mNext, mNextHits);
     follow(result, true);
     mEmitterSamples = 1;
     mSeen.clear();
-    for (int j = 0; j < mPathCount; ++j) {
-        mSeen.push_back({mPaths[j].surface, mPaths[j].stratum, mPaths[j].distance});
+    for (int j = 0; j < mPaths.count; ++j) {
+        mSeen.push_back({mPaths.triangle[j], mPaths.u[j], mPaths.v[j], mPaths.behind[j],
+            mPaths.albedo[j], mPaths.stratum[j], mPaths.distance[j]});
     }
 }
 
-void PathTracer::findOpen(
-    const SurfacePoint* points, const GatherDraw* draws, int count, PathBatchResult& result)
+void PathTracer::findOpen(const GatherDraw* draws, PathBatchResult& result)
 {
-    std::fill_n(result.open, count, 1.0f);
+    std::fill_n(result.open, mPaths.count, 1.0f);
     for (int number = 0; number < kLooks; ++number) {
-        mShadow.count = 0;
-        for (int i = 0; i < count; ++i) {
-            if (!(draws[i].reach > 0)) continue;
+        for (int i = 0; i < mPaths.count; ++i) {
             const Vec2d at = draws[i].around + kR2 * number;
-            const Vec3f d = cosineDirection(points[i].normal, static_cast<float>(fraction(at.x)),
-                static_cast<float>(fraction(at.y)));
-            mShadowStratum[mShadow.count] = i;
-            mShadow.push(points[i].leaving(), d, draws[i].reach);
+            mScatter.u[i] = static_cast<float>(fraction(at.x));
+            mScatter.v[i] = static_cast<float>(fraction(at.y));
         }
-        occludeScattered(mImpl, mShadow, mOccluded);
-        note(mShadow, true);
-        result.traced += static_cast<std::uint64_t>(mShadow.count);
-        for (int j = 0; j < mShadow.count; ++j) {
-            if (mOccluded[j]) result.open[mShadowStratum[j]] -= 1.0f / kLooks;
+        cosineRays(mPaths, mScatter, mNext);
+        mShadow.rays.count = 0;
+        for (int i = 0; i < mPaths.count; ++i) {
+            if (!(draws[i].reach > 0)) continue;
+            mShadow.push(i, Color(0.0f), mPaths.leaving[i], mNext.direction(i), draws[i].reach);
+        }
+        occludeScattered(mImpl, mShadow.rays, mShadow.occluded);
+        note(mShadow.rays, true);
+        result.traced += static_cast<std::uint64_t>(mShadow.rays.count);
+        for (int j = 0; j < mShadow.rays.count; ++j) {
+            if (mShadow.occluded[j]) result.open[mShadow.stratum[j]] -= 1.0f / kLooks;
         }
     }
 }
@@ -355,88 +376,85 @@ void PathTracer::findOpen(
 void PathTracer::reflectFromEmitters(PathBatchResult& result, const GatherDraw* draws, int number)
 {
     if (mImpl.emitters.empty()) return;
-    mShadow.count = 0;
-    double t[kBatch], u[kBatch], v[kBatch];
+    double t[kBatch];
+    float u[kBatch], v[kBatch];
     // Samples of one surface: strata of the choice, a Kronecker sequence over the emitter.
     const double share = number / static_cast<double>(mEmitterSamples);
     const Vec2d step = kR2 * number;
-    for (int j = 0; j < mPathCount; ++j) {
-        CounterRng& rng = mPaths[j].rng;
-        t[j] = draws ? fraction(draws[j].emitter.x + share) : rng.nextDouble();
-        u[j] = draws ? fraction(draws[j].emitter.y + step.x) : rng.nextDouble();
-        v[j] = draws ? fraction(draws[j].emitter.z + step.y) : rng.nextDouble();
-        mImpl.emitters.prefetch(mPaths[j].surface.receiver(), t[j]);
+    for (int j = 0; j < mPaths.count; ++j) {
+        if (draws) {
+            t[j] = fraction(draws[j].emitter.x + share);
+            u[j] = static_cast<float>(fraction(draws[j].emitter.y + step.x));
+            v[j] = static_cast<float>(fraction(draws[j].emitter.z + step.y));
+        } else {
+            t[j] = mPaths.rng[j].nextDouble();
+            const Vec2f square = mPaths.rng[j].nextPair();
+            u[j] = square.x;
+            v[j] = square.y;
+        }
     }
-    std::int64_t texel[kBatch]; // of the sky
-    for (int j = 0; j < mPathCount; ++j) {
-        texel[j] = mImpl.emitters.skyTexel(mPaths[j].surface.receiver(), t[j]);
-    }
-    for (int j = 0; j < mPathCount; ++j) {
-        const Path& path = mPaths[j];
-        const SurfacePoint& s = path.surface;
-        const EmitterSample e = texel[j] >= 0
-            ? mImpl.emitters.sampleSkyTexel(s.receiver(), texel[j], u[j], v[j])
-            : mImpl.emitters.sample(
-                s.receiver(), t[j], u[j], v[j], [&](std::uint32_t triangle, float tu, float tv) {
-                    return mImpl.emissionAt(mImpl.triangles[triangle], tu, tv);
-                });
-        pushReflected(path, e);
-    }
+    drawEmitters(t, u, v);
+    mShadow.rays.count = 0;
+    aimFromSurfaces(mPaths, mEmitters, mEmitterSamples, mShadow);
     addUnoccluded(result);
 }
 
-/// The shadow ray of @a e and what it brings.
-void PathTracer::pushReflected(const Path& path, const EmitterSample& e)
+/// mEmitters: one for each path.
+void PathTracer::drawEmitters(const double* t, const float* u, const float* v)
 {
-    const SurfacePoint& s = path.surface;
-    const float cosine = s.normal.dot(e.direction);
-    if (!(e.pdf > 0) || !(cosine > 0)) return;
-    // f cos / (n p_emitter + p_cosine): balance heuristic of n such samples and the cosine sample
-    // of scatter(), whose density is cos / π.
-    mShadowValue[mShadow.count] = path.throughput * s.albedo * e.radiance
-        * static_cast<float>(cosine / (mEmitterSamples * e.pdf * kPi + cosine));
-    mShadowStratum[mShadow.count] = path.stratum;
-    pushShadow(mShadow, s.leaving(), e);
+    double sky[kBatch];
+    std::uint32_t texel[kBatch];
+    std::fill_n(sky, mPaths.count, -1.0);
+    for (int j = 0; j < mPaths.count && mImpl.emitters.hasSky(); ++j) {
+        sky[j] = mImpl.emitters.skyRest(mPaths.receiver(j), t[j]);
+        if (sky[j] >= 0) mImpl.emitters.prefetchSky(sky[j]);
+    }
+    for (int j = 0; j < mPaths.count; ++j) {
+        if (sky[j] >= 0) texel[j] = mImpl.emitters.skyTexel(sky[j]);
+    }
+    const auto emission
+        = [&](std::uint32_t triangle, float tu, float tv) { return emissionOf(triangle, tu, tv); };
+    for (int j = 0; j < mPaths.count; ++j) {
+        const Receiver to = mPaths.receiver(j);
+        mEmitters.set(j,
+            sky[j] >= 0 ? mImpl.emitters.sampleSkyTexel(to, texel[j], u[j], v[j])
+                        : mImpl.emitters.sampleElsewhere(to, t[j], u[j], v[j], emission));
+    }
 }
 
 void PathTracer::reflectFromPunctual(PathBatchResult& result)
 {
     if (mImpl.punctual.empty()) return;
-    mShadow.count = 0;
-    for (int j = 0; j < mPathCount; ++j) {
-        Path& path = mPaths[j];
+    mShadow.rays.count = 0;
+    for (int j = 0; j < mPaths.count; ++j) {
         PunctualSample light;
-        const double t = path.rng.nextDouble();
-        if (!mImpl.punctual.sample(path.surface.receiver(), t, light)) continue;
-        const float cosine = path.surface.normal.dot(light.direction);
-        mShadowValue[mShadow.count]
-            = path.throughput * path.surface.albedo * light.irradiance * (cosine / kPi);
-        mShadowStratum[mShadow.count] = path.stratum;
-        const Vec3f from = path.surface.leaving();
-        if (light.infinite) {
-            mShadow.push(from, light.direction, kInfinity);
-        } else {
-            mShadow.push(from, light.target - from, kShadowEnd);
-        }
+        const Receiver to = mPaths.receiver(j);
+        if (!mImpl.punctual.sample(to, mPaths.rng[j].nextDouble(), light)) continue;
+        const Color value = mPaths.throughput[j] * mPaths.albedo[j] * light.irradiance
+            * (to.normal.dot(light.direction) / kPi);
+        mShadow.push(mPaths.stratum[j], value, to.position,
+            light.infinite ? light.direction : light.target - to.position,
+            light.infinite ? kInfinity : kShadowEnd);
     }
     addUnoccluded(result);
 }
 
 void PathTracer::scatter(int bounce, PathBatchResult& result)
 {
-    // Directions and survival of all paths, then one batch of rays.
-    int alive = 0;
-    mNext.count = 0;
-    for (int j = 0; j < mPathCount; ++j) {
-        Path& path = mPaths[j];
-        path.throughput *= path.surface.albedo;
-        const float q = survival(path.throughput, bounce);
-        if (!(path.rng.next() < q)) continue;
-        path.throughput /= q;
-        const float u1 = path.rng.next(), u2 = path.rng.next();
-        mNext.push(path.surface.leaving(), cosineDirection(path.surface.normal, u1, u2), kInfinity);
-        if (alive != j) mPaths[alive] = path;
-        ++alive;
+    for (int j = 0; j < mPaths.count; ++j) {
+        CounterRng& rng = mPaths.rng[j];
+        mScatter.survive[j] = rng.next();
+        const Vec2f square = rng.nextPair();
+        mScatter.u[j] = square.x;
+        mScatter.v[j] = square.y;
+    }
+    const float longest = bounce < kLongPath ? 1.0f : kLongPathSurvival;
+    const int alive = scatterPaths(mPaths, longest, mScatter, mNext);
+    for (int j = 0; j < alive; ++j) {
+        const int from = mScatter.path[j];
+        mPaths.stratum[j] = mPaths.stratum[from];
+        mPaths.rng[j] = mPaths.rng[from];
+        mPaths.goesOn[j] = mPaths.goesOn[from];
     }
     intersectScattered(mImpl, mNext, mNextHits);
     follow(result);
@@ -447,59 +465,57 @@ void PathTracer::follow(PathBatchResult& result, bool markBacks)
 {
     note(mNext, false);
     result.traced += static_cast<std::uint64_t>(mNext.count);
-    prefetchSurfaces(mImpl, mNextHits, mNext.count);
-    mPathCount = 0;
+    // Balance heuristic against the emitter samples of where a ray comes from.
+    const auto weight = [&](int j, double pdf) {
+        const double cosinePdf = static_cast<double>(mScatter.cosine[j]) / kPi;
+        return static_cast<float>(cosinePdf / (cosinePdf + mEmitterSamples * pdf));
+    };
+    const auto from = [&](int j) {
+        return Receiver{{mNext.ox[j], mNext.oy[j], mNext.oz[j]}, mScatter.normal[j]};
+    };
     for (int j = 0; j < mNext.count; ++j) {
-        Path& path = mPaths[j];
-        const Vec3f d = mNext.direction(j);
-        const double cosinePdf = std::max(0.0f, path.surface.normal.dot(d)) / kPi;
-        const auto weight = [&](double pdf) {
-            return static_cast<float>(cosinePdf / (cosinePdf + mEmitterSamples * pdf));
-        };
-        if (!(cosinePdf > 0)) continue;
-        if (mNextHits.triangle[j] == kMiss) {
-            const Environment::Arrival light = background(mImpl, path.surface.receiver(), d);
-            result.uniform[path.stratum] += path.throughput * light.radiance * weight(light.pdf);
-            continue;
-        }
-        const SurfacePoint s = mImpl.surfaceSeen(path.surface.leaving(), d, mNextHits.triangle[j],
-            mNextHits.t[j], mNextHits.u[j], mNextHits.v[j]);
-        if (s.emitter >= 0) {
-            const double pdf = mImpl.emitters.pdfTriangle(
-                path.surface.receiver(), s.emitter, mNextHits.t[j], std::abs(s.normal.dot(d)));
-            result.uniform[path.stratum] += path.throughput * s.emission * weight(pdf);
-        }
-        if (markBacks && s.backFace) result.backFace[path.stratum] = true;
-        if (maxComponent(s.albedo) <= 0) continue;
-        Path& next = mPaths[mPathCount++];
-        next.surface = s;
-        next.distance = mNextHits.t[j];
-        next.throughput = path.throughput;
-        next.stratum = path.stratum;
-        next.goesOn = path.goesOn;
-        next.rng = path.rng;
+        if (mNextHits.triangle[j] != kMiss || !(mScatter.cosine[j] > 0)) continue;
+        const Environment::Arrival light = background(mImpl, from(j), mNext.direction(j));
+        result.uniform.add(
+            mPaths.stratum[j], mPaths.throughput[j] * light.radiance * weight(j, light.pdf));
     }
+    meet(mNext, mNextHits);
+    int count = 0;
+    for (int k = 0; k < mMet.count; ++k) {
+        const int j = mMet.ray[k], stratum = mPaths.stratum[j];
+        if (!(mScatter.cosine[j] > 0)) continue;
+        if (mMet.emitter[k] >= 0) {
+            const double pdf = mImpl.emitters.pdfTriangle(
+                from(j), mMet.emitter[k], mNextHits.t[j], std::abs(mMet.facing[k]));
+            result.uniform.add(stratum, mPaths.throughput[j] * mMet.emission[k] * weight(j, pdf));
+        }
+        if (markBacks && mMet.backFace[k]) result.backFace[stratum] = true;
+        if (maxComponent(mPaths.albedo[k]) <= 0) continue;
+        if (count != k) mPaths.moveSurface(k, count);
+        if (count != j) mPaths.movePath(j, count);
+        ++count;
+    }
+    mPaths.count = count;
 }
 
 std::uint64_t PathTracer::punctual(
     std::size_t first, std::size_t count, const Vec3f& p, PunctualSample* lights)
 {
-    mShadow.count = 0;
+    mShadow.rays.count = 0;
     for (std::size_t i = 0; i < count; ++i) {
         const Light& light = mImpl.scene->lights[first + i];
         PunctualSample& s = lights[i];
         s = samplePunctual(light, mImpl.toLocal(light.position), p);
         if (!(maxComponent(s.irradiance) > 0)) continue;
-        mShadowStratum[mShadow.count] = static_cast<int>(i);
-        mShadow.push(
-            p, s.infinite ? s.direction : s.target - p, s.infinite ? kInfinity : kShadowEnd);
+        mShadow.push(static_cast<int>(i), Color(0.0f), p, s.infinite ? s.direction : s.target - p,
+            s.infinite ? kInfinity : kShadowEnd);
     }
-    occlude(mImpl, mShadow, mOccluded);
-    note(mShadow, true);
-    for (int j = 0; j < mShadow.count; ++j) {
-        if (mOccluded[j]) lights[mShadowStratum[j]].irradiance = Color(0.0f);
+    occlude(mImpl, mShadow.rays, mShadow.occluded);
+    note(mShadow.rays, true);
+    for (int j = 0; j < mShadow.rays.count; ++j) {
+        if (mShadow.occluded[j]) lights[mShadow.stratum[j]].irradiance = Color(0.0f);
     }
-    return static_cast<std::uint64_t>(mShadow.count);
+    return static_cast<std::uint64_t>(mShadow.rays.count);
 }
 
 } // namespace lumivdb

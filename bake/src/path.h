@@ -4,10 +4,9 @@
 /// @file path.h
 /// A batch of paths from one point, advanced together: what each brings back, unbiased.
 
-#include "packets.h"
+#include "path_kernels.h"
 
 #include <lumivdb/bake/probe.h>
-#include <lumivdb/core/random.h>
 
 #include <cstdint>
 #include <vector>
@@ -29,11 +28,11 @@ struct PathBatchResult {
     RayBatch rays; ///< the uniform directions
     HitBatch hits; ///< what they met first
     /// Radiance along rays[i]; multiplied by the basis and 4π it estimates the integral.
-    Color uniform[kBatch];
+    ColorBatch uniform;
     /// Directions drawn towards emitters and what they give, already divided by the density:
     /// added to the same stratum's estimate. Zero where nothing arrives.
-    float ex[kBatch], ey[kBatch], ez[kBatch];
-    Color emitter[kBatch];
+    VectorBatch emitterDirection;
+    ColorBatch emitter;
     /// The planes of the surfaces met by rays[i] and of the emitters drawn, for derivatives.
     InversePlane plane[kBatch], emitterPlane[kBatch];
     bool wantPlanes = true; ///< set before: false leaves them as they are
@@ -49,16 +48,15 @@ struct RecordedRay {
     bool shadow;
 };
 
-/// What a stratum of the probe's directions has in common at all points.
-struct ProbeStratum {
-    double t = 0; ///< what its emitter sample is drawn from
-    Vec3f infinite{0, 0, 0}; ///< direction, if that is of the environment, else 0
-    Color value{0, 0, 0}; ///< its radiance, weighted, over the density
-    Color background{0, 0, 0}; ///< what a ray that meets nothing brings, weighted
+/// What a probe's strata have in common at all points, a batch's at a time.
+struct ProbeStrata {
+    EmitterBatch emitters; ///< drawn
+    double position[kBatch]; ///< what they are drawn from, where that depends on the place
+    ColorBatch background; ///< what a ray that meets nothing brings, weighted
 };
 
 /// Of all strata of nestedPositions()' set number @a set, in the order of @a directions.
-std::vector<ProbeStratum> probeStrata(const Tracer::Impl& impl, const ProbeOptions& options,
+std::vector<ProbeStrata> probeStrata(const Tracer::Impl& impl, const ProbeOptions& options,
     const std::vector<Vec3f>& directions, int set = 0);
 
 /// The random numbers of one of PathTracer::gather()'s points.
@@ -72,21 +70,16 @@ struct GatherDraw {
 
 class PathTracer {
 public:
-    /// @a strata: probeStrata(), if trace() shall not find them again each time.
-    PathTracer(const Tracer::Impl& impl, const ProbeOptions& options,
-        const std::vector<ProbeStratum>* strata = nullptr)
+    PathTracer(const Tracer::Impl& impl, const ProbeOptions& options)
         : mImpl(impl)
         , mOptions(options)
-        , mStrata(strata)
     {
     }
 
-    /// From now on trace() takes these.
-    void useStrata(const std::vector<ProbeStratum>& strata) { mStrata = &strata; }
-
-    /// Strata [first, first + count) of the probe at @a p (local); count ≤ kBatch.
-    void trace(const Vec3f& p, const Vec3f* directions, std::uint64_t first, int count,
-        std::uint64_t key, PathBatchResult& result);
+    /// Strata [first, first + count) of the probe at @a p (local); first is a multiple of kBatch,
+    /// count ≤ kBatch, @a strata theirs.
+    void trace(const Vec3f& p, const Vec3f* directions, const ProbeStrata& strata,
+        std::uint64_t first, int count, std::uint64_t key, PathBatchResult& result);
 
     /// For each of @a points one sample of the light it receives: result.uniform[i] is what arrives
     /// straight from emitters and lights, E/π, by @a emitterSamples of them and the cosine-
@@ -98,7 +91,10 @@ public:
         PathBatchResult& result);
     /// What the rays of gather() met and reflects light: the point it came from, and where it met.
     struct Seen {
-        SurfacePoint surface;
+        std::uint32_t triangle;
+        float u, v;
+        bool behind;
+        Color albedo;
         int from;
         float distance;
     };
@@ -113,48 +109,40 @@ public:
     void record(std::vector<RecordedRay>* rays) { mRecorder = rays; }
 
 private:
-    struct Path {
-        SurfacePoint surface;
-        Color throughput;
-        float distance; ///< of the surface from where the path came
-        int stratum;
-        bool goesOn = false; ///< of a path that the cache ends: after this surface
-        CounterRng rng{0};
-    };
     void sampleEmittersAtProbe(
-        const Vec3f& p, const ProbeStratum* strata, int count, PathBatchResult& result);
-    void startPaths(const Vec3f& p, const ProbeStratum* strata, std::uint64_t first, int count,
-        std::uint64_t key, PathBatchResult& result);
+        const Vec3f& p, const ProbeStrata& strata, int count, PathBatchResult& result);
+    void placeEmitters(const Vec3f& p, const ProbeStrata& strata, int count);
+    void startPaths(
+        const ProbeStrata& strata, std::uint64_t first, std::uint64_t key, PathBatchResult& result);
     /// @a draws gives the numbers that choose emitter @a number of mEmitterSamples, else the paths'
     /// own do.
     void reflectFromEmitters(
         PathBatchResult& result, const GatherDraw* draws = nullptr, int number = 0);
-    void findOpen(
-        const SurfacePoint* points, const GatherDraw* draws, int count, PathBatchResult& result);
-    void pushReflected(const Path& path, const EmitterSample& e);
+    void drawEmitters(const double* t, const float* u, const float* v);
+    void findOpen(const GatherDraw* draws, PathBatchResult& result);
     void reflectFromPunctual(PathBatchResult& result);
     void scatter(int bounce, PathBatchResult& result);
+    void meet(const RayBatch& rays, const HitBatch& hits);
+    void meetAgain(int k, const RayBatch& rays, const HitBatch& hits);
     void follow(PathBatchResult& result, bool markBacks = false);
     void lookUp(PathBatchResult& result);
     void addUnoccluded(PathBatchResult& result);
+    Color emissionOf(std::uint32_t triangle, float u, float v) const;
 
     void note(const RayBatch& rays, bool shadow);
 
     const Tracer::Impl& mImpl;
     const ProbeOptions& mOptions;
-    const std::vector<ProbeStratum>* mStrata;
     std::vector<RecordedRay>* mRecorder = nullptr;
 
     int mEmitterSamples = 1; ///< at each surface
-    ProbeStratum mOwnStrata[kBatch];
-    Path mPaths[kBatch];
-    int mPathCount = 0;
-    RayBatch mShadow;
-    Color mShadowValue[kBatch];
-    int mShadowStratum[kBatch];
-    std::uint8_t mOccluded[kBatch];
+    PathBatch mPaths;
+    EmitterBatch mEmitters;
+    ShadowBatch mShadow;
+    ScatterBatch mScatter;
     RayBatch mNext;
     HitBatch mNextHits;
+    MetBatch mMet;
     std::vector<Seen> mSeen;
 };
 

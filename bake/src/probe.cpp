@@ -94,9 +94,8 @@ struct ShAndCosineFunctions {
 
 /// Scratch of one thread. Big: lives on the heap.
 struct Scratch {
-    Scratch(const Tracer::Impl& impl, const ProbeOptions& options,
-        const std::vector<ProbeStratum>& strata)
-        : paths(impl, options, &strata)
+    Scratch(const Tracer::Impl& impl, const ProbeOptions& options)
+        : paths(impl, options)
     {
     }
     PathTracer paths;
@@ -114,59 +113,22 @@ struct GradientScratch {
     GradientSums sums;
 };
 
-/// Adds a batch's strata to the sums: f_i = 4π L(ω_i) y(ω_i) + L(ω'_i)/p y(ω'_i).
-/// Eight partial sums, so that the order does not depend on how a compiler vectorises.
-void accumulateFunction(int n, const float* uniform, const float* emitter, const float* yu,
-    const float* ye, bool hasPrevious, float& previous, double& sum, double& differences2)
-{
-    constexpr int kLanes = 8;
-    alignas(32) float f[kBatch + 1 + kLanes] = {};
-    f[0] = previous;
-    for (int i = 0; i < n; ++i) f[i + 1] = uniform[i] * yu[i] + emitter[i] * ye[i];
-    previous = f[n];
-    if (!hasPrevious) f[0] = f[1];
-    float s[kLanes] = {}, d[kLanes] = {};
-    int i = 0;
-    for (; i + kLanes <= n; i += kLanes) {
-        for (int l = 0; l < kLanes; ++l) {
-            const float v = f[i + l + 1], delta = v - f[i + l];
-            s[l] += v;
-            d[l] += delta * delta;
-        }
-    }
-    for (int l = 0; i + l < n; ++l) {
-        const float v = f[i + l + 1], delta = v - f[i + l];
-        s[l] += v;
-        d[l] += delta * delta;
-    }
-    for (int l = 0; l < kLanes; ++l) {
-        sum += s[l];
-        differences2 += d[l];
-    }
-}
-
 template <class Basis> void accumulate(const Basis& basis, int n, bool firstOfChunk, Scratch& w)
 {
-    const PathBatchResult& b = w.batch;
+    PathBatchResult& b = w.batch;
     const auto functions = static_cast<std::size_t>(basis.count());
     w.uniformBasis.resize(functions * kBatch);
     w.emitterBasis.resize(functions * kBatch);
+    const VectorBatch& to = b.emitterDirection;
     basis.eval(n, b.rays.dx, b.rays.dy, b.rays.dz, w.uniformBasis.data());
-    basis.eval(n, b.ex, b.ey, b.ez, w.emitterBasis.data());
-    constexpr auto kSphere = static_cast<float>(4 * kPi);
-    for (int c = 0; c < 3; ++c) {
-        alignas(32) float uniform[kBatch], emitter[kBatch];
-        for (int i = 0; i < n; ++i) {
-            uniform[i] = kSphere * b.uniform[i][c];
-            emitter[i] = b.emitter[i][c];
-        }
-        for (std::size_t k = 0; k < functions; ++k) {
-            const std::size_t j = k * 3 + static_cast<std::size_t>(c);
-            accumulateFunction(n, uniform, emitter, w.uniformBasis.data() + k * n,
-                w.emitterBasis.data() + k * n, !firstOfChunk, w.previous[j], w.sums.sum[j],
-                w.sums.differences2[j]);
-        }
+    basis.eval(n, to.x, to.y, to.z, w.emitterBasis.data());
+    // f_i = 4π L(ω_i) y(ω_i) + L(ω'_i)/p y(ω'_i)
+    for (float* const channel : b.uniform.channel) {
+        for (int i = 0; i < n; ++i) channel[i] *= static_cast<float>(4 * kPi);
     }
+    sumStrata(
+        {n, basis.count(), &b.uniform, &b.emitter, w.uniformBasis.data(), w.emitterBasis.data(),
+            !firstOfChunk, w.previous.data(), w.sums.sum.data(), w.sums.differences2.data()});
     w.sums.strata += static_cast<std::uint64_t>(n);
     w.sums.differences += static_cast<std::uint64_t>(firstOfChunk ? n - 1 : n);
     w.sums.traced += b.traced;
@@ -182,7 +144,7 @@ struct Shot {
     const Tracer::Impl& impl;
     const ProbeOptions& options;
     const std::vector<Vec3f>& directions;
-    const std::vector<ProbeStratum>& strata;
+    const std::vector<ProbeStrata>& strata;
     Vec3f p;
     std::uint64_t key;
 };
@@ -206,12 +168,12 @@ void traceChunk(const Shot& shot, const Basis& basis, std::size_t first,
     w.sums.reset(static_cast<std::size_t>(basis.count()));
     w.previous.assign(w.sums.sum.size(), 0.0f);
     w.batch.wantPlanes = gradient != nullptr;
-    w.paths.useStrata(shot.strata);
     for (std::size_t i = first; i < last; i += kBatch) {
         const int n = static_cast<int>(std::min<std::size_t>(kBatch, last - i));
-        w.paths.trace(shot.p, shot.directions.data() + i, i, n, shot.key, w.batch);
-        accumulate(basis, n, i == first, w);
+        w.paths.trace(
+            shot.p, shot.directions.data() + i, shot.strata[i / kBatch], i, n, shot.key, w.batch);
         if (gradient) gradient->collect(w.batch, i, n);
+        accumulate(basis, n, i == first, w);
     }
 }
 
@@ -240,7 +202,7 @@ Sums traceChunks(const Shot& shot, const Basis& basis, Scratch& own, GradientScr
         } else {
             tbb::parallel_for(std::size_t{0}, count, [&](std::size_t c) {
                 auto& local = scratch.local();
-                if (!local) local = std::make_unique<Scratch>(shot.impl, shot.options, shot.strata);
+                if (!local) local = std::make_unique<Scratch>(shot.impl, shot.options);
                 trace(c, *local);
             });
         }
@@ -377,7 +339,7 @@ struct ProbeEstimator::Workspace::Impl {
 /// Directions, and what they have in common at all points.
 struct ProbeEstimator::Set {
     std::vector<Vec3f> directions;
-    std::vector<ProbeStratum> strata;
+    std::vector<ProbeStrata> strata;
     mutable std::once_flag once;
     mutable std::unique_ptr<const GradientTables> gradient;
 
@@ -432,7 +394,7 @@ ProbeEstimator::Place ProbeEstimator::placeAt(
 {
     const Tracer::Impl& impl = mTracer.impl();
     Workspace::Impl& own = *workspace.mImpl;
-    if (!own.scratch) own.scratch = std::make_unique<Scratch>(impl, mOptions, set(0).strata);
+    if (!own.scratch) own.scratch = std::make_unique<Scratch>(impl, mOptions);
     Place place{impl.toLocal(world), key, {}};
     if (mOptions.contribution == Contribution::Indirect) return place;
     place.lights.resize(impl.scene->lights.size());

@@ -249,8 +249,8 @@ private:
             sample(fresh, scouts, [&](std::size_t i, Worker& w, int at, auto seen, auto end) {
                 direct[i] = directOf(fresh[i], at, scouts(i), w);
                 for (; seen != end; ++seen) {
-                    const SurfacePoint& s = seen->surface;
-                    const SeenPlace n{s.triangle, s.u, s.v, seen->distance, s.behind};
+                    const SeenPlace n{
+                        seen->triangle, seen->u, seen->v, seen->distance, seen->behind};
                     if (isNear(n, mOptions.nearness)) near[i].push_back(n);
                 }
             });
@@ -368,15 +368,14 @@ private:
             if (mWeight[i] > 0) mDirect[i] = sum * (kPi / mWeight[i]);
             mMixed[i] = directOf(mIds[i], at, rays(i), w).changes(mSceneMean);
             for (; seen != end; ++seen) {
-                const SurfacePoint& p = seen->surface;
-                const Id id = mPatches->find(p.triangle, p.u, p.v, p.behind);
+                const Id id = mPatches->find(seen->triangle, seen->u, seen->v, seen->behind);
                 const auto from = static_cast<std::size_t>(seen->from - at);
                 if (id == SurfacePatches::kNone) continue;
                 Link& link = mLinks[mFirstLink[i] + from];
                 link.patch = mRow[id];
                 for (int c = 0; c < 3; ++c) {
                     link.albedo[c] = static_cast<std::uint16_t>(
-                        std::lround(p.albedo[c] * weights[from] * 65535.0f));
+                        std::lround(seen->albedo[c] * weights[from] * 65535.0f));
                 }
             }
         });

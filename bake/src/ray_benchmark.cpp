@@ -28,6 +28,7 @@ std::vector<Rays> recordRays(
     const Tracer::Impl& impl, const ProbeOptions& options, const std::vector<Vec3d>& points)
 {
     const std::vector<Vec3f> directions = stratifiedDirections(options.seed, options.rays);
+    const std::vector<ProbeStrata> strata = probeStrata(impl, options, directions);
     auto paths = std::make_unique<PathTracer>(impl, options);
     auto batch = std::make_unique<PathBatchResult>();
     std::vector<Rays> rays(points.size());
@@ -36,7 +37,8 @@ std::vector<Rays> recordRays(
         paths->record(&rays[p]);
         for (std::size_t i = 0; i < directions.size(); i += kBatch) {
             const auto n = static_cast<int>(std::min<std::size_t>(kBatch, directions.size() - i));
-            paths->trace(impl.toLocal(points[p]), directions.data() + i, i, n, key, *batch);
+            paths->trace(impl.toLocal(points[p]), directions.data() + i, strata[i / kBatch], i, n,
+                key, *batch);
         }
     }
     return rays;

@@ -309,24 +309,41 @@ std::array<float, 4> decode(std::uint32_t codes)
         kAlphaCodes[codes >> 24]};
 }
 
-/// What a texture gives at (u, v), from what @a texel(x, y) gives.
-template <class Texel>
-std::array<float, 4> filter(const Texture& t, float u, float v, const Texel& texel)
+/// Of four texels, row by row.
+std::array<float, 4> interpolate(const std::array<float, 4> (&t)[4], float right, float down)
 {
-    if (t.nearest) {
-        return texel(nearestTexel(u, t.width, t.wrapU), nearestTexel(v, t.height, t.wrapV));
-    }
-    const Tap x = linearTap(u, t.width, t.wrapU);
-    const Tap y = linearTap(v, t.height, t.wrapV);
-    const std::array<float, 4> t00 = texel(x.first, y.first), t10 = texel(x.second, y.first),
-                               t01 = texel(x.first, y.second), t11 = texel(x.second, y.second);
     std::array<float, 4> result;
     for (std::size_t c = 0; c < 4; ++c) {
-        const float top = t00[c] + (t10[c] - t00[c]) * x.weight;
-        const float bottom = t01[c] + (t11[c] - t01[c]) * x.weight;
-        result[c] = top + (bottom - top) * y.weight;
+        const float top = t[0][c] + (t[1][c] - t[0][c]) * right;
+        const float bottom = t[2][c] + (t[3][c] - t[2][c]) * right;
+        result[c] = top + (bottom - top) * down;
     }
     return result;
+}
+
+/// Texel numbers are those of @a place(x, y).
+template <class Place>
+Texels::Footprint footprint(const Texture& t, float u, float v, const Place& place)
+{
+    Tap x, y;
+    if (t.nearest) {
+        x.first = x.second = nearestTexel(u, t.width, t.wrapU);
+        y.first = y.second = nearestTexel(v, t.height, t.wrapV);
+        x.weight = y.weight = 0;
+    } else {
+        x = linearTap(u, t.width, t.wrapU);
+        y = linearTap(v, t.height, t.wrapV);
+    }
+    const auto at = [&](int i, int j) { return static_cast<std::uint32_t>(place(i, j)); };
+    return {{at(x.first, y.first), at(x.second, y.first), at(x.first, y.second),
+                at(x.second, y.second)},
+        x.weight, y.weight};
+}
+
+std::array<float, 4> pixel(const Texture& t, std::uint32_t number)
+{
+    const float* p = &t.pixels[std::size_t{number} * 4];
+    return {p[0], p[1], p[2], p[3]};
 }
 
 } // namespace
@@ -334,10 +351,12 @@ std::array<float, 4> filter(const Texture& t, float u, float v, const Texel& tex
 std::array<float, 4> Texture::sample(float u, float v) const
 {
     if (width < 1 || height < 1) return {1, 1, 1, 1};
-    return filter(*this, u, v, [&](int x, int y) {
-        const float* p = &pixels[(static_cast<std::size_t>(y) * width + x) * 4];
-        return std::array<float, 4>{p[0], p[1], p[2], p[3]};
+    const Texels::Footprint at = footprint(*this, u, v, [&](int x, int y) {
+        return static_cast<std::size_t>(y) * static_cast<std::size_t>(width)
+            + static_cast<std::size_t>(x);
     });
+    const auto texel = [&](int i) { return pixel(*this, at.texel[i]); };
+    return interpolate({texel(0), texel(1), texel(2), texel(3)}, at.right, at.down);
 }
 
 Texels::Texels(const Texture& texture)
@@ -358,18 +377,20 @@ Texels::Texels(const Texture& texture)
     if (!exact) mCodes = {};
 }
 
-void Texels::prefetch(float u, float v) const
+Texels::Footprint Texels::find(float u, float v) const
 {
-    if (mCodes.empty()) return;
-    const int x = nearestTexel(u, mTexture->width, mTexture->wrapU);
-    const int y = nearestTexel(v, mTexture->height, mTexture->wrapV);
-    __builtin_prefetch(&mCodes[place(x, y)]);
+    if (mTexture->width < 1 || mTexture->height < 1) return {};
+    return footprint(*mTexture, u, v, [&](int x, int y) { return place(x, y); });
 }
 
-std::array<float, 4> Texels::sample(float u, float v) const
+std::array<float, 4> Texels::sample(const Footprint& at) const
 {
-    if (mCodes.empty()) return mTexture->sample(u, v);
-    return filter(*mTexture, u, v, [&](int x, int y) { return decode(mCodes[place(x, y)]); });
+    if (mTexture->width < 1 || mTexture->height < 1) return {1, 1, 1, 1};
+    std::array<float, 4> t[4];
+    for (int i = 0; i < 4; ++i) {
+        t[i] = mCodes.empty() ? pixel(*mTexture, at.texel[i]) : decode(mCodes[at.texel[i]]);
+    }
+    return interpolate(t, at.right, at.down);
 }
 
 } // namespace lumivdb

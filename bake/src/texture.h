@@ -33,15 +33,32 @@ class Texels {
 public:
     /// @a texture must outlive this.
     explicit Texels(const Texture& texture);
-    std::array<float, 4> sample(float u, float v) const;
-    /// Asks memory for most of what sample() will read.
-    void prefetch(float u, float v) const;
+    std::array<float, 4> sample(float u, float v) const { return sample(find(u, v)); }
+
+    /// The texels that a look-up reads, and the weights of the second column and row.
+    struct Footprint {
+        std::uint32_t texel[4] = {};
+        float right = 0, down = 0;
+    };
+    Footprint find(float u, float v) const;
+    /// Asks memory for what sample() will read.
+    void prefetch(const Footprint& at) const
+    {
+        if (mCodes.empty()) return;
+        __builtin_prefetch(&mCodes[at.texel[0]]);
+        __builtin_prefetch(&mCodes[at.texel[3]]);
+    }
+    std::array<float, 4> sample(const Footprint& at) const;
     /// Whether the texture had eight bits a channel.
     bool packed() const { return !mCodes.empty(); }
 
 private:
     std::size_t place(int x, int y) const
     {
+        if (mCodes.empty()) {
+            return static_cast<std::size_t>(y) * static_cast<std::size_t>(mTexture->width)
+                + static_cast<std::size_t>(x);
+        }
         const auto tile
             = static_cast<std::size_t>(y >> 2) * mTilesAcross + static_cast<std::size_t>(x >> 2);
         return tile * 16 + static_cast<std::size_t>((y & 3) << 2 | (x & 3));

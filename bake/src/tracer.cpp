@@ -21,25 +21,14 @@ T interpolate(const std::vector<T>& values, const std::array<std::uint32_t, 3>& 
     return values[t[0]] * (1 - u - v) + values[t[1]] * u + values[t[2]] * v;
 }
 
-/// Coordinates in the texture of @a slot; false where there is none.
-bool placeInSlot(const TextureSlot& slot, const Mesh& mesh, std::uint32_t triangle, float u,
-    float v, Vec2f& place)
+/// Coordinates in the texture of @a slot. @pre the mesh has such coordinates
+Vec2f placeInSlot(
+    const TextureSlot& slot, const Mesh& mesh, std::uint32_t triangle, float u, float v)
 {
-    if (slot.texture < 0) return false;
     const std::vector<Vec2f>& uv = mesh.uv[slot.uvSet == 1 ? 1 : 0];
-    if (uv.empty()) return false;
     const Vec2f st = interpolate(uv, mesh.triangles[triangle], u, v);
     const auto& m = slot.transform;
-    place = {m[0] * st.x + m[1] * st.y + m[2], m[3] * st.x + m[4] * st.y + m[5]};
-    return true;
-}
-
-std::array<float, 4> sampleSlot(const Tracer::Impl& impl, const TextureSlot& slot, const Mesh& mesh,
-    std::uint32_t triangle, float u, float v)
-{
-    Vec2f place;
-    if (!placeInSlot(slot, mesh, triangle, u, v, place)) return {1, 1, 1, 1};
-    return impl.texels[static_cast<std::size_t>(slot.texture)].sample(place.x, place.y);
+    return {m[0] * st.x + m[1] * st.y + m[2], m[3] * st.x + m[4] * st.y + m[5]};
 }
 
 } // namespace
@@ -50,11 +39,24 @@ Tracer::Impl::~Impl()
     if (device) rtcReleaseDevice(device);
 }
 
-Color Tracer::Impl::albedoAt(const Triangle& t, float u, float v, float* alpha) const
+Texels::Footprint Tracer::Impl::placeAlbedo(const Triangle& t, float u, float v) const
+{
+    const Texels* const image = looks[t.mesh].texels;
+    if (!image) return {};
+    const Vec2f place
+        = placeInSlot(materialOf(t).baseColorTexture, scene->meshes[t.mesh], t.index, u, v);
+    const Texels::Footprint footprint = image->find(place.x, place.y);
+    image->prefetch(footprint);
+    return footprint;
+}
+
+Color Tracer::Impl::albedoFrom(
+    const Triangle& t, const Texels::Footprint& at, float u, float v, float* alpha) const
 {
     const Mesh& mesh = scene->meshes[t.mesh];
     const Material& material = materialOf(t);
-    const auto texel = sampleSlot(*this, material.baseColorTexture, mesh, t.index, u, v);
+    const Texels* const image = looks[t.mesh].texels;
+    const auto texel = image ? image->sample(at) : std::array<float, 4>{1, 1, 1, 1};
     Color albedo(material.baseColor.x * texel[0], material.baseColor.y * texel[1],
         material.baseColor.z * texel[2]);
     float a = material.alphaFactor * texel[3];
@@ -73,16 +75,7 @@ Color Tracer::Impl::albedoAt(const Triangle& t, float u, float v, float* alpha) 
     return albedo;
 }
 
-void Tracer::Impl::prefetchAlbedo(std::uint32_t triangle, float u, float v) const
-{
-    const Triangle& t = this->triangle(triangle);
-    const TextureSlot& slot = materialOf(t).baseColorTexture;
-    Vec2f place;
-    if (!placeInSlot(slot, scene->meshes[t.mesh], t.index, u, v, place)) return;
-    texels[static_cast<std::size_t>(slot.texture)].prefetch(place.x, place.y);
-}
-
-Color Tracer::Impl::emissionAt(const Triangle& t, float u, float v) const
+Color Tracer::Impl::emissionFound(const Triangle& t, float u, float v) const
 {
     const Material& material = materialOf(t);
     if (material.alphaMask) {
@@ -91,8 +84,11 @@ Color Tracer::Impl::emissionAt(const Triangle& t, float u, float v) const
         albedoAt(t, u, v, &alpha);
         if (alpha < material.alphaCutoff) return Color(0.0f);
     }
-    const auto texel
-        = sampleSlot(*this, material.emissionTexture, scene->meshes[t.mesh], t.index, u, v);
+    const TextureSlot& slot = material.emissionTexture;
+    const Mesh& mesh = scene->meshes[t.mesh];
+    if (slot.texture < 0 || mesh.uv[slot.uvSet == 1 ? 1 : 0].empty()) return material.emission;
+    const Vec2f place = placeInSlot(slot, mesh, t.index, u, v);
+    const auto texel = texels[static_cast<std::size_t>(slot.texture)].sample(place.x, place.y);
     return {material.emission.x * texel[0], material.emission.y * texel[1],
         material.emission.z * texel[2]};
 }

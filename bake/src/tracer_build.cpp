@@ -81,6 +81,7 @@ public:
         gather(true);
         mImpl.placedCount = static_cast<std::uint32_t>(mImpl.triangles.size());
         gatherInstances();
+        gatherLooks();
         addEmitters();
         chooseQuality();
         buildEmbree();
@@ -196,6 +197,25 @@ private:
         for (const auto& v : mScene.meshes[mesh].triangles) {
             mImpl.triangles.push_back({{base + v[0], base + v[1], base + v[2]},
                 static_cast<std::uint32_t>(mesh), index++, -1});
+        }
+    }
+
+    void gatherLooks()
+    {
+        for (const Mesh& mesh : mScene.meshes) {
+            const Material& m = materialOf(mesh);
+            Tracer::Impl::Look look;
+            const TextureSlot& slot = m.baseColorTexture;
+            const bool placed = slot.texture >= 0 && !mesh.uv[slot.uvSet == 1 ? 1 : 0].empty();
+            look.texels = placed ? &mImpl.texels[static_cast<std::size_t>(slot.texture)] : nullptr;
+            look.evenEmission = m.emissionTexture.texture < 0 && !m.alphaMask;
+            look.evenAlbedo = !look.texels && mesh.colors.empty();
+            look.albedo = m.baseColor;
+            for (int c = 0; c < 3; ++c) look.albedo[c] = std::clamp(look.albedo[c], 0.0f, 1.0f);
+            look.emission = m.emission;
+            look.doubleSided = m.doubleSided;
+            look.emitsFrontOnly = m.emitsFrontOnly;
+            mImpl.looks.push_back(look);
         }
     }
 

@@ -79,11 +79,20 @@ struct Tracer::Impl {
         float rounding() const { return maxAbs(shift) * stretch * 0x1p-20f; }
     };
 
+    /// What paths ask most often of a mesh's material, in one place.
+    struct Look {
+        Color albedo, emission; ///< where they are the same everywhere
+        bool evenAlbedo, evenEmission; ///< whether they are
+        bool doubleSided, emitsFrontOnly;
+        const Texels* texels; ///< of the albedo, null: none
+    };
+
     /// Triangles in memory: the opaque ones of local space first (Embree's geometry 0), the
     /// alpha-masked ones of local space (geometry 1), then those of the meshes with instances, in
     /// spaces of their own (scenes of their own, placed by geometry 2 + index of the instance).
     std::vector<Triangle> triangles;
     std::vector<Vec3f> vertices;
+    std::vector<Look> looks; ///< by mesh
     std::uint32_t opaqueCount = 0;
     std::uint32_t placedCount = 0; ///< those of local space
     std::vector<Instance> instances;
@@ -123,6 +132,11 @@ struct Tracer::Impl {
     {
         return triangles[instance ? instance->stored + (i - instance->first) : i];
     }
+    /// Asks memory for triangle(i).
+    void prefetch(std::uint32_t i) const
+    {
+        if (i < placedCount) __builtin_prefetch(&triangles[i]);
+    }
     Corners corners(std::uint32_t i) const
     {
         const Instance* instance = instanceOf(i);
@@ -151,11 +165,22 @@ struct Tracer::Impl {
     }
     const Material& materialOf(std::uint32_t i) const { return materialOf(triangle(i)); }
     /// Albedo and alpha at barycentrics (u, v), sides not considered.
-    Color albedoAt(const Triangle& t, float u, float v, float* alpha) const;
-    /// Asks memory for what albedoAt() will read.
-    void prefetchAlbedo(std::uint32_t triangle, float u, float v) const;
+    Color albedoAt(const Triangle& t, float u, float v, float* alpha) const
+    {
+        return albedoFrom(t, placeAlbedo(t, u, v), u, v, alpha);
+    }
+    /// albedoAt() in two steps, so that many can wait for memory together: first
+    /// placeAlbedo(), which asks for the texels, for all, then albedoFrom() what that gave.
+    Texels::Footprint placeAlbedo(const Triangle& t, float u, float v) const;
+    Color albedoFrom(
+        const Triangle& t, const Texels::Footprint& texels, float u, float v, float* alpha) const;
     /// Emission of the front at barycentrics (u, v).
-    Color emissionAt(const Triangle& t, float u, float v) const;
+    Color emissionAt(const Triangle& t, float u, float v) const
+    {
+        const Look& look = looks[t.mesh];
+        return look.evenEmission ? look.emission : emissionFound(t, u, v);
+    }
+    Color emissionFound(const Triangle& t, float u, float v) const;
     /// What a ray met at triangle (u, v), @a t along it. Where that is the back of a single-sided
     /// surface and a front lies at the same distance (rooms modelled back to back share the plane
     /// of their wall, and Embree may report either), it is the front.

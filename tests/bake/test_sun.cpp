@@ -187,9 +187,10 @@ TEST_CASE("A sun has a quarter of a probe's strata, and what is due to it at sur
     const auto noTriangle = [](std::uint32_t, float, float) { return Color(0.0f); };
     int inSun = 0;
     for (int i = 0; i < 64; ++i) {
-        const EmitterSample s = table.sampleStratum({}, (i + 0.5) / 64, noTriangle);
-        const Environment::Arrival there = env->arrival(Vec3d(s.direction));
-        CHECK(s.pdf == Approx(there.pdf * table.environmentDensity({}, there.sun)).epsilon(1e-4));
+        const EmitterPoint s = table.sampleStratum({}, (i + 0.5) / 64, noTriangle);
+        const Environment::Arrival there = env->arrival(Vec3d(s.place));
+        CHECK(
+            s.density == Approx(there.pdf * table.environmentDensity({}, there.sun)).epsilon(1e-4));
         inSun += there.sun;
     }
     CHECK(inSun == 16);
@@ -201,9 +202,13 @@ TEST_CASE("A sun has a quarter of a probe's strata, and what is due to it at sur
         const Receiver to{{0, 0, 0}, Vec3f(n)};
         inSun = 0;
         for (int i = 0; i < 1000; ++i) {
-            const EmitterSample s = table.sample(to, (i + 0.5) / 1000, 0.3, 0.6, noTriangle);
-            const Environment::Arrival there = env->arrival(Vec3d(s.direction));
-            if (std::abs(s.pdf / there.pdf / table.environmentDensity(to, there.sun) - 1) > 1e-4)
+            const double t = (i + 0.5) / 1000, rest = table.skyRest(to, t);
+            const EmitterPoint s = rest >= 0
+                ? table.sampleSkyTexel(to, table.skyTexel(rest), 0.3, 0.6)
+                : table.sampleElsewhere(to, t, 0.3, 0.6, noTriangle);
+            const Environment::Arrival there = env->arrival(Vec3d(s.place));
+            if (std::abs(s.density / there.pdf / table.environmentDensity(to, there.sun) - 1)
+                > 1e-4)
                 FAIL("density");
             inSun += there.sun;
         }

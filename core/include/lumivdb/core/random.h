@@ -36,7 +36,7 @@ constexpr std::uint64_t hashPoint(std::uint64_t seed, int x, int y, int z)
 /// A stream of uniform numbers in [0, 1) from a key: number k of a key is always the same.
 class CounterRng {
 public:
-    explicit constexpr CounterRng(std::uint64_t key)
+    explicit constexpr CounterRng(std::uint64_t key = 0)
         : mState(key)
     {
     }
@@ -47,6 +47,13 @@ public:
     }
     /// Uniform in [0, 1), 24 bits, never 1.
     float next() { return static_cast<float>(bits() >> 40) * 0x1p-24f; }
+    /// Two of them at once, from one number's bits.
+    Vec2f nextPair()
+    {
+        const std::uint64_t b = bits();
+        return {static_cast<float>(b >> 40) * 0x1p-24f,
+            static_cast<float>(b >> 16 & 0xffffff) * 0x1p-24f};
+    }
     /// Uniform in [0, 1), 53 bits, never 1.
     double nextDouble() { return static_cast<double>(bits() >> 11) * 0x1p-53; }
 
