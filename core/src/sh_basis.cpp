@@ -3,11 +3,41 @@
 
 #include "sh_internal.h"
 
-#include <algorithm>
+// Of x86: none, SSE4 and AVX2, as in sampler_kernels.cpp.
+#define HWY_DISABLED_TARGETS                                                                       \
+    (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV | HWY_SSSE3 | HWY_AVX3 | HWY_AVX3_DL)
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "sh_basis.cpp"
+#include <hwy/foreach_target.h> // compiles what follows once per instruction set
+#include <hwy/highway.h>
 
-namespace lumivdb {
+HWY_BEFORE_NAMESPACE();
+namespace lumivdb::detail {
+namespace HWY_NAMESPACE {
 
 namespace {
+
+namespace hn = hwy::HWY_NAMESPACE;
+using Lanes = hn::CappedTag<float, 8>;
+constexpr std::size_t kLanes = hn::MaxLanes(Lanes());
+
+/// Several directions' numbers, with the arithmetic of one.
+struct Floats {
+    hn::Vec<Lanes> v;
+
+    Floats() = default;
+    HWY_INLINE explicit Floats(hn::Vec<Lanes> vector)
+        : v(vector)
+    {
+    }
+    HWY_INLINE explicit Floats(double x)
+        : v(hn::Set(Lanes(), static_cast<float>(x)))
+    {
+    }
+};
+HWY_INLINE Floats operator+(const Floats& a, const Floats& b) { return Floats(hn::Add(a.v, b.v)); }
+HWY_INLINE Floats operator-(const Floats& a, const Floats& b) { return Floats(hn::Sub(a.v, b.v)); }
+HWY_INLINE Floats operator*(const Floats& a, const Floats& b) { return Floats(hn::Mul(a.v, b.v)); }
 
 // Y_lm = (−1)^m k_lm P_lm(z) {s_|m|, c_m}: k from the normalisation, P_lm a polynomial in z alone,
 // and c_m + i s_m = (x + iy)^m (Sloan 2013). Each constant is the square root beside it, to more
@@ -33,59 +63,58 @@ constexpr double k53 = 0.48923829943525038768; // sqrt(385/(512 pi))
 constexpr double k54 = 2.07566231488104127900; // sqrt(3465/(256 pi))
 constexpr double k55 = 0.65638205684017010281; // sqrt(693/(512 pi))
 
-// The parts below write value i to out[i * Stride]. Stride is a template argument so that the
-// single and the batched form are the same arithmetic: bitwise equal, since -ffp-contract=off.
+// One template for one direction and for vectors of them: the same arithmetic, and bitwise equal,
+// since -ffp-contract=off.
 
-template <int Stride, class T> inline void degree1(T x, T y, T z, T* out)
+template <class T> HWY_INLINE void degree1(T x, T y, T z, T* out)
 {
-    out[1 * Stride] = T(-k10) * y;
-    out[2 * Stride] = T(k10) * z;
-    out[3 * Stride] = T(-k10) * x;
+    out[1] = T(-k10) * y;
+    out[2] = T(k10) * z;
+    out[3] = T(-k10) * x;
 }
 
-template <int Stride, class T> inline void degree2(T x, T y, T z, T zz, T s2, T c2, T* out)
+template <class T> HWY_INLINE void degree2(T x, T y, T z, T zz, T s2, T c2, T* out)
 {
     const T p1 = T(-k21) * z;
-    out[4 * Stride] = T(k22) * s2;
-    out[5 * Stride] = p1 * y;
-    out[6 * Stride] = T(3 * k20) * zz - T(k20);
-    out[7 * Stride] = p1 * x;
-    out[8 * Stride] = T(k22) * c2;
+    out[4] = T(k22) * s2;
+    out[5] = p1 * y;
+    out[6] = T(3 * k20) * zz - T(k20);
+    out[7] = p1 * x;
+    out[8] = T(k22) * c2;
 }
 
-template <int Stride, class T>
-inline void degree3(T x, T y, T z, T zz, T s2, T c2, T s3, T c3, T* out)
+template <class T> HWY_INLINE void degree3(T x, T y, T z, T zz, T s2, T c2, T s3, T c3, T* out)
 {
     const T p1 = T(-5 * k31) * zz + T(k31);
     const T p2 = T(k32) * z;
-    out[9 * Stride] = T(-k33) * s3;
-    out[10 * Stride] = p2 * s2;
-    out[11 * Stride] = p1 * y;
-    out[12 * Stride] = z * (T(5 * k30) * zz - T(3 * k30));
-    out[13 * Stride] = p1 * x;
-    out[14 * Stride] = p2 * c2;
-    out[15 * Stride] = T(-k33) * c3;
+    out[9] = T(-k33) * s3;
+    out[10] = p2 * s2;
+    out[11] = p1 * y;
+    out[12] = z * (T(5 * k30) * zz - T(3 * k30));
+    out[13] = p1 * x;
+    out[14] = p2 * c2;
+    out[15] = T(-k33) * c3;
 }
 
-template <int Stride, class T>
-inline void degree4(T x, T y, T z, T zz, T s2, T c2, T s3, T c3, T s4, T c4, T* out)
+template <class T>
+HWY_INLINE void degree4(T x, T y, T z, T zz, T s2, T c2, T s3, T c3, T s4, T c4, T* out)
 {
     const T p1 = z * (T(-7 * k41) * zz + T(3 * k41));
     const T p2 = T(7 * k42) * zz - T(k42);
     const T p3 = T(-k43) * z;
-    out[16 * Stride] = T(k44) * s4;
-    out[17 * Stride] = p3 * s3;
-    out[18 * Stride] = p2 * s2;
-    out[19 * Stride] = p1 * y;
-    out[20 * Stride] = (T(35 * k40) * zz - T(30 * k40)) * zz + T(3 * k40);
-    out[21 * Stride] = p1 * x;
-    out[22 * Stride] = p2 * c2;
-    out[23 * Stride] = p3 * c3;
-    out[24 * Stride] = T(k44) * c4;
+    out[16] = T(k44) * s4;
+    out[17] = p3 * s3;
+    out[18] = p2 * s2;
+    out[19] = p1 * y;
+    out[20] = (T(35 * k40) * zz - T(30 * k40)) * zz + T(3 * k40);
+    out[21] = p1 * x;
+    out[22] = p2 * c2;
+    out[23] = p3 * c3;
+    out[24] = T(k44) * c4;
 }
 
-template <int Stride, class T>
-inline void degree5(T x, T y, T z, T zz, T s2, T c2, T s3, T c3, T s4, T c4, T* out)
+template <class T>
+HWY_INLINE void degree5(T x, T y, T z, T zz, T s2, T c2, T s3, T c3, T s4, T c4, T* out)
 {
     const T s5 = x * s4 + y * c4;
     const T c5 = x * c4 - y * s4;
@@ -93,37 +122,37 @@ inline void degree5(T x, T y, T z, T zz, T s2, T c2, T s3, T c3, T s4, T c4, T* 
     const T p2 = z * (T(3 * k52) * zz - T(k52));
     const T p3 = T(-9 * k53) * zz + T(k53);
     const T p4 = T(k54) * z;
-    out[25 * Stride] = T(-k55) * s5;
-    out[26 * Stride] = p4 * s4;
-    out[27 * Stride] = p3 * s3;
-    out[28 * Stride] = p2 * s2;
-    out[29 * Stride] = p1 * y;
-    out[30 * Stride] = z * ((T(63 * k50) * zz - T(70 * k50)) * zz + T(15 * k50));
-    out[31 * Stride] = p1 * x;
-    out[32 * Stride] = p2 * c2;
-    out[33 * Stride] = p3 * c3;
-    out[34 * Stride] = p4 * c4;
-    out[35 * Stride] = T(-k55) * c5;
+    out[25] = T(-k55) * s5;
+    out[26] = p4 * s4;
+    out[27] = p3 * s3;
+    out[28] = p2 * s2;
+    out[29] = p1 * y;
+    out[30] = z * ((T(63 * k50) * zz - T(70 * k50)) * zz + T(15 * k50));
+    out[31] = p1 * x;
+    out[32] = p2 * c2;
+    out[33] = p3 * c3;
+    out[34] = p4 * c4;
+    out[35] = T(-k55) * c5;
 }
 
-template <int Bands, int Stride, class T> inline void basis(T x, T y, T z, T* out)
+template <int Bands, class T> HWY_INLINE void basis(T x, T y, T z, T* out)
 {
     out[0] = T(k00);
-    if constexpr (Bands > 1) degree1<Stride>(x, y, z, out);
+    if constexpr (Bands > 1) degree1(x, y, z, out);
     if constexpr (Bands > 2) {
         const T zz = z * z;
         const T s2 = T(2) * x * y;
         const T c2 = x * x - y * y;
-        degree2<Stride>(x, y, z, zz, s2, c2, out);
+        degree2(x, y, z, zz, s2, c2, out);
         if constexpr (Bands > 3) {
             const T s3 = x * s2 + y * c2;
             const T c3 = x * c2 - y * s2;
-            degree3<Stride>(x, y, z, zz, s2, c2, s3, c3, out);
+            degree3(x, y, z, zz, s2, c2, s3, c3, out);
             if constexpr (Bands > 4) {
                 const T s4 = x * s3 + y * c3;
                 const T c4 = x * c3 - y * s3;
-                degree4<Stride>(x, y, z, zz, s2, c2, s3, c3, s4, c4, out);
-                if constexpr (Bands > 5) degree5<Stride>(x, y, z, zz, s2, c2, s3, c3, s4, c4, out);
+                degree4(x, y, z, zz, s2, c2, s3, c3, s4, c4, out);
+                if constexpr (Bands > 5) degree5(x, y, z, zz, s2, c2, s3, c3, s4, c4, out);
             }
         }
     }
@@ -133,55 +162,48 @@ template <class T> void evalBasis(int bands, T x, T y, T z, T* out)
 {
     switch (bands) {
     case 1:
-        return basis<1, 1>(x, y, z, out);
+        return basis<1>(x, y, z, out);
     case 2:
-        return basis<2, 1>(x, y, z, out);
+        return basis<2>(x, y, z, out);
     case 3:
-        return basis<3, 1>(x, y, z, out);
+        return basis<3>(x, y, z, out);
     case 4:
-        return basis<4, 1>(x, y, z, out);
+        return basis<4>(x, y, z, out);
     case 5:
-        return basis<5, 1>(x, y, z, out);
+        return basis<5>(x, y, z, out);
     case 6:
-        return basis<6, 1>(x, y, z, out);
+        return basis<6>(x, y, z, out);
     default:
-        detail::checkBands(bands);
+        checkBands(bands);
     }
 }
 
-/// Blocks of a fixed length through a local buffer: the inner loop has no alias with the caller's
-/// arrays and no remainder, so that compilers vectorise it.
 template <int Bands>
 void evalBatch(std::size_t count, const float* x, const float* y, const float* z, float* out)
 {
-    constexpr int kBlock = 32;
-    alignas(64) float dir[3][kBlock] = {};
-    alignas(64) float values[coefficientCount(Bands)][kBlock];
-    for (std::size_t begin = 0; begin < count; begin += kBlock) {
-        const std::size_t n = std::min<std::size_t>(kBlock, count - begin);
-        std::copy_n(x + begin, n, dir[0]);
-        std::copy_n(y + begin, n, dir[1]);
-        std::copy_n(z + begin, n, dir[2]);
-        for (int k = 0; k < kBlock; ++k)
-            basis<Bands, kBlock>(dir[0][k], dir[1][k], dir[2][k], values[0] + k);
-        for (std::size_t i = 0; i < coefficientCount(Bands); ++i)
-            std::copy_n(values[i], n, out + i * count + begin);
+    constexpr std::size_t kValues = coefficientCount(Bands);
+    std::size_t k = 0;
+    for (; k + kLanes <= count; k += kLanes) {
+        const auto load = [&](const float* from) { return Floats(hn::LoadU(Lanes(), from + k)); };
+        Floats values[kValues];
+        basis<Bands>(load(x), load(y), load(z), values);
+        for (std::size_t i = 0; i < kValues; ++i) {
+            hn::StoreU(values[i].v, Lanes(), out + i * count + k);
+        }
+    }
+    for (; k < count; ++k) {
+        float values[kValues];
+        basis<Bands>(x[k], y[k], z[k], values);
+        for (std::size_t i = 0; i < kValues; ++i) out[i * count + k] = values[i];
     }
 }
 
 } // namespace
 
-void evalShBasis(int bands, const Vec3d& dir, double* y)
-{
-    evalBasis(bands, dir.x, dir.y, dir.z, y);
-}
+void evalDouble(int bands, const Vec3d& d, double* y) { evalBasis(bands, d.x, d.y, d.z, y); }
+void evalFloat(int bands, const Vec3f& d, float* y) { evalBasis(bands, d.x, d.y, d.z, y); }
 
-void evalShBasis(int bands, const Vec3f& dir, float* y)
-{
-    evalBasis(bands, dir.x, dir.y, dir.z, y);
-}
-
-void evalShBasisBatch(
+void evalMany(
     int bands, std::size_t count, const float* x, const float* yy, const float* z, float* y)
 {
     switch (bands) {
@@ -198,8 +220,36 @@ void evalShBasisBatch(
     case 6:
         return evalBatch<6>(count, x, yy, z, y);
     default:
-        detail::checkBands(bands);
+        checkBands(bands);
     }
+}
+
+} // namespace HWY_NAMESPACE
+} // namespace lumivdb::detail
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace lumivdb {
+
+namespace detail {
+HWY_EXPORT(evalMany);
+} // namespace detail
+
+void evalShBasis(int bands, const Vec3d& dir, double* y)
+{
+    detail::HWY_STATIC_DISPATCH(evalDouble)(bands, dir, y);
+}
+
+void evalShBasis(int bands, const Vec3f& dir, float* y)
+{
+    detail::HWY_STATIC_DISPATCH(evalFloat)(bands, dir, y);
+}
+
+void evalShBasisBatch(
+    int bands, std::size_t count, const float* x, const float* yy, const float* z, float* y)
+{
+    using namespace detail;
+    HWY_DYNAMIC_DISPATCH(evalMany)(bands, count, x, yy, z, y);
 }
 
 Color evalSh(int bands, const Color* c, const Vec3f& dir)
@@ -258,3 +308,4 @@ Color dotSh(int bands, const Color* a, const float* b)
 }
 
 } // namespace lumivdb
+#endif
