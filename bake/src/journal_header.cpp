@@ -116,6 +116,7 @@ std::string journalHeader(const BakeOptions& options, const Scene& scene)
     Lines lines;
     lines.add("journal-format", 1);
     lines.add("lumivdb", LUMIVDB_VERSION);
+    lines.add("sample-revision", kSampleRevision);
     lines.add("scene", scene.contentHash);
     addProbe(lines, probe);
     lines.add("integrator", name(integrator));

@@ -6,10 +6,15 @@
 #include "../../bake/src/sample_baker.h"
 #include "../../bake/src/sample_journal.h"
 
+#include <lumivdb/bake/environment.h>
+#include <lumivdb/bake/radiance_cache.h>
+#include <lumivdb/core/random.h>
+
 #include <catch2/catch.hpp>
 
 #include <atomic>
 #include <cstdlib>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
@@ -221,6 +226,48 @@ TEST_CASE("a journal of other options is refused by their names", "[bake][journa
     CHECK(message.find("rays 4 there, 8 now; spacing nothing there, 0.5 now") != std::string::npos);
     CHECK(message.find("--resume") != std::string::npos);
     CHECK(contentOf(path) == before);
+}
+
+TEST_CASE("samples have the bits of their revision", "[bake][journal][revision]")
+{
+    // Where this fails, what samples are made of has changed: raise kSampleRevision, then put the
+    // new hashes here.
+    REQUIRE(kSampleRevision == 2);
+    const std::string samples = LUMIVDB_SAMPLES;
+    const auto hashOf = [&](const std::string& file, const std::string& sky, bool cached) {
+        auto scene = std::make_shared<Scene>(loadScene(samples + file));
+        std::vector<std::string> warnings;
+        if (!sky.empty()) scene->environment = Environment::load(samples + sky, {}, warnings);
+        const Tracer tracer(scene);
+        ProbeOptions options;
+        options.rays = 300;
+        RadianceCacheOptions small;
+        small.patches = 128;
+        if (cached) options.cache = std::make_shared<const RadianceCache>(tracer, small);
+        const ProbeEstimator estimator(tracer, options);
+        ProbeEstimator::Workspace workspace;
+        std::uint64_t hash = 0;
+        const Box3d box = scene->bounds();
+        for (int i = 1; i < 8; ++i) {
+            const Vec3d p = box.min + (box.max - box.min) * (i / 8.0);
+            const ProbeResult r
+                = estimator.radianceSh(p, 3, static_cast<std::uint64_t>(i), workspace, true);
+            for (const std::vector<Color>* part : {&r.value, &r.stderr_, &r.gradient}) {
+                for (const Color& value : *part) {
+                    for (int c = 0; c < 3; ++c) {
+                        std::uint32_t bits = 0;
+                        std::memcpy(&bits, &value[c], sizeof bits);
+                        hash = hashCombine(hash, bits);
+                    }
+                }
+            }
+        }
+        return hash;
+    };
+    CHECK(hashOf("/cornell_box.glb", "", false) == 0xbe181af421571bbeull);
+    CHECK(hashOf("/cornell_box.glb", "", true) == 0xb72ab639df129345ull);
+    CHECK(hashOf("/house.glb", "/sky.hdr", false) == 0x83f85456e7e078faull);
+    CHECK(hashOf("/house.glb", "/sky.hdr", true) == 0x4fdd6f56c7c2bc40ull);
 }
 
 TEST_CASE("a second bake does without the journal of the first", "[bake][journal]")
