@@ -305,7 +305,7 @@ SurfacePoint SurfacePatches::sample(Id id, const Vec2f& square, float choice) co
     const float u = p.u + scale * place.x, v = p.v + scale * place.y;
     const std::uint32_t element = mMembers[member];
     const Vec3f normal = cornersOf(mImpl, element).areaVector();
-    return mImpl.surfaceAt(element / 2, u, v, element % 2 != 0 ? normal : -normal);
+    return mImpl.placeAt(element / 2, u, v, element % 2 != 0 ? normal : -normal);
 }
 
 int SurfacePatches::quarterOf(Id id, const Vec3f& position) const

@@ -50,7 +50,8 @@ public:
     /// Cuts a patch; its value is then that of the parts. @return whether it could be cut.
     bool divide(Id id);
 
-    /// A point of the patch, uniform over its area for uniform @a square and @a choice ∈ [0, 1).
+    /// A point of the patch, uniform over its area for uniform @a square and @a choice ∈ [0, 1);
+    /// without albedo and emission.
     SurfacePoint sample(Id id, const Vec2f& square, float choice) const;
     /// Which quarter of the patch a place lies in, 0 … 3, by two of the coordinates.
     int quarterOf(Id id, const Vec3f& position) const;

@@ -93,16 +93,16 @@ Color Tracer::Impl::emissionFound(const Triangle& t, float u, float v) const
         material.emission.z * texel[2]};
 }
 
-SurfacePoint Tracer::Impl::surfaceAt(
+SurfacePoint Tracer::Impl::placeAt(
     std::uint32_t triangle, float u, float v, const Vec3f& rayDirection) const
 {
     const Instance* instance = instanceOf(triangle);
     const Triangle& t = stored(triangle, instance);
     const Corners p = corners(t, instance);
-    const Material& material = materialOf(t);
     SurfacePoint s;
     s.position = p.a * (1 - u - v) + p.b * u + p.c * v;
     s.normal = p.areaVector().normalized();
+    s.albedo = s.emission = Color(0.0f);
     s.offset = offsetOf(p, instance);
     s.emitter = t.emitter;
     s.triangle = triangle;
@@ -110,10 +110,20 @@ SurfacePoint Tracer::Impl::surfaceAt(
     s.v = v;
     s.behind = s.normal.dot(rayDirection) > 0;
     if (s.behind) s.normal = -s.normal;
-    s.backFace = s.behind && !material.doubleSided;
-    s.albedo = s.backFace ? Color(0.0f) : albedoAt(t, u, v, nullptr);
-    const bool dark = t.emitter < 0 || s.backFace || (s.behind && material.emitsFrontOnly);
-    s.emission = dark ? Color(0.0f) : emissionAt(t, u, v);
+    s.backFace = s.behind && !looks[t.mesh].doubleSided;
+    return s;
+}
+
+SurfacePoint Tracer::Impl::surfaceAt(
+    std::uint32_t triangle, float u, float v, const Vec3f& rayDirection) const
+{
+    SurfacePoint s = placeAt(triangle, u, v, rayDirection);
+    if (s.backFace) return s;
+    const Triangle& t = this->triangle(triangle);
+    s.albedo = albedoAt(t, u, v, nullptr);
+    if (t.emitter >= 0 && !(s.behind && looks[t.mesh].emitsFrontOnly)) {
+        s.emission = emissionAt(t, u, v);
+    }
     return s;
 }
 

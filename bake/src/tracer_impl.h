@@ -188,6 +188,8 @@ struct Tracer::Impl {
         float t, float u, float v) const;
     SurfacePoint surfaceAt(
         std::uint32_t triangle, float u, float v, const Vec3f& rayDirection) const;
+    /// The same without albedo and emission, which stay 0.
+    SurfacePoint placeAt(std::uint32_t triangle, float u, float v, const Vec3f& rayDirection) const;
 };
 
 } // namespace lumivdb
