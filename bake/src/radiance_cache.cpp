@@ -39,6 +39,9 @@ constexpr double kViewNearness = 1 / 8.0;
 /// A patch that one of them meets sends as many rays as this share of a patch of full size.
 constexpr double kViewShare = 1 / 4.0;
 constexpr int kMaxIterations = 10000;
+/// Pieces of surfaces that do not hang together share patches where they are more than this many
+/// times as many as patches are asked for.
+constexpr std::size_t kPiecesPerPatch = 8;
 /// Places of a patch count by how much of their view is free for so many of its sides.
 constexpr float kOpenPatches = 3;
 /// Emitter samples at a place, per deviation of direct light over its mean, and at most.
@@ -92,8 +95,8 @@ public:
         , mReport(cache.mReport)
         , mProgress(progress)
     {
-        cache.mImpl
-            = std::make_unique<RadianceCache::Impl>(mTracer, startSize(), mOptions.maxPatches / 2);
+        cache.mImpl = std::make_unique<RadianceCache::Impl>(mTracer, startSize(),
+            std::min(mOptions.maxPatches / 2, kPiecesPerPatch * mOptions.patches));
         mPatches = &cache.mImpl->patches;
         limitPieces(undivided().size());
         lookFromBox();
