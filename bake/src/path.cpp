@@ -33,9 +33,10 @@ constexpr std::uint64_t kEmitterStream = 0x51ed270b35ae3d29ull;
 /// A lower survival than the albedo squared would make the variance infinite.
 constexpr int kLongPath = 2048;
 constexpr float kLongPathSurvival = 0.999f;
+
 double fraction(double x) { return x - std::floor(x); }
 float maxComponent(const Color& c) { return std::max({c.x, c.y, c.z}); }
-
+/// Balance heuristic of a uniform direction against one drawn with density @a pdf.
 float uniformWeight(double pdf) { return static_cast<float>(kUniformPdf / (kUniformPdf + pdf)); }
 
 /// What a ray from @a to that leaves the scene brings, and the density of drawing that way.
