@@ -48,12 +48,15 @@ Environment::Arrival background(const Tracer::Impl& impl, const Receiver& to, co
     return light;
 }
 
-} // namespace
-
-Color PathTracer::emissionOf(std::uint32_t triangle, float u, float v) const
+/// What EmitterTable asks for: radiance of a triangle's front.
+auto emissionIn(const Tracer::Impl& impl)
 {
-    return mImpl.emissionAt(mImpl.triangles[triangle], u, v);
+    return [&impl](std::uint32_t triangle, float u, float v) {
+        return impl.emissionAt(impl.triangles[triangle], u, v);
+    };
 }
+
+} // namespace
 
 std::vector<ProbeStrata> probeStrata(const Tracer::Impl& impl, const ProbeOptions& options,
     const std::vector<Vec3f>& directions, int set)
@@ -62,9 +65,7 @@ std::vector<ProbeStrata> probeStrata(const Tracer::Impl& impl, const ProbeOption
     if (options.contribution == Contribution::Indirect) return strata;
     const auto positions = nestedPositions(
         options.seed ^ kEmitterStream, static_cast<std::uint64_t>(options.rays), set);
-    const auto emission = [&](std::uint32_t triangle, float u, float v) {
-        return impl.emissionAt(impl.triangles[triangle], u, v);
-    };
+    const auto emission = emissionIn(impl);
     tbb::parallel_for(std::size_t{0}, directions.size(), [&](std::size_t number) {
         ProbeStrata& batch = strata[number / kBatch];
         const int i = static_cast<int>(number % kBatch);
@@ -131,8 +132,7 @@ void PathTracer::trace(const Vec3f& p, const Vec3f* directions, const ProbeStrat
 void PathTracer::placeEmitters(const Vec3f& p, const ProbeStrata& strata, int count)
 {
     mEmitters = strata.emitters;
-    const auto emission
-        = [&](std::uint32_t triangle, float u, float v) { return emissionOf(triangle, u, v); };
+    const auto emission = emissionIn(mImpl);
     for (int i = 0; i < count; ++i) {
         if (mEmitters.offset[i] < 0) continue; // infinitely far away
         mEmitters.set(i, mImpl.emitters.sampleStratum({p}, strata.position[i], emission));
@@ -224,7 +224,7 @@ void PathTracer::meetAgain(int k, const RayBatch& rays, const HitBatch& hits)
     mPaths.v[k] = s.v;
     mPaths.triangle[k] = s.triangle;
     mPaths.behind[k] = s.behind;
-    mMet.facing[k] = -s.normal.dot(rays.direction(i));
+    mMet.facing[k] = s.normal.dot(rays.direction(i)) * (s.behind ? -1.0f : 1.0f);
     mMet.backFace[k] = s.backFace;
     mMet.emitter[k] = s.emission == Color(0.0f) ? -1 : s.emitter;
     mMet.emission.set(k, s.emission);
@@ -413,8 +413,7 @@ void PathTracer::drawEmitters(const double* t, const float* u, const float* v)
     for (int j = 0; j < mPaths.count; ++j) {
         if (sky[j] >= 0) texel[j] = mImpl.emitters.skyTexel(sky[j]);
     }
-    const auto emission
-        = [&](std::uint32_t triangle, float tu, float tv) { return emissionOf(triangle, tu, tv); };
+    const auto emission = emissionIn(mImpl);
     for (int j = 0; j < mPaths.count; ++j) {
         const Receiver to = mPaths.receiver(j);
         mEmitters.set(j,

@@ -127,7 +127,6 @@ private:
     void follow(PathBatchResult& result, bool markBacks = false);
     void lookUp(PathBatchResult& result);
     void addUnoccluded(PathBatchResult& result);
-    Color emissionOf(std::uint32_t triangle, float u, float v) const;
 
     void note(const RayBatch& rays, bool shadow);
 
