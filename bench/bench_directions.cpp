@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-/// What noise looks like where all points share their directions, as those of a bake do, and where
-/// each has its own (white noise), on a horizontal slice of a scene:
+/// What noise looks like where points take turns with patterns of directions, as those of a bake
+/// do, and where each has its own (white noise), on a horizontal slice of a scene:
 /// lumivdb_bench_directions SCENE ENVIRONMENT|"" HEIGHT OUT.png [rays] [pixels] [reference rays]
 ///
-/// Top row: irradiance of upward surfaces with shared directions, with own ones, and the reference.
+/// Top row: irradiance of upward surfaces with patterns, with own directions, and the reference.
 /// Bottom row: how far the first two are off, red above and blue below, and the difference of both.
 
 #include "program.h"
@@ -175,7 +175,7 @@ int run(int argc, char** argv)
                  reference = measure(tracer, slice, many, 3, false);
     const double mean = meanOf(reference);
     const Noise a = analyse(slice, shared, reference), b = analyse(slice, own, reference);
-    std::printf("%s, %d rays: shared directions rms %.2f%%, neighbours' correlation %.2f; own "
+    std::printf("%s, %d rays: patterns rms %.2f%%, neighbours' correlation %.2f; own "
                 "directions %.2f%%, %.2f\n",
         argv[1], rays, 100 * a.rms / mean, a.correlation, 100 * b.rms / mean, b.correlation);
     Sheet sheet(slice, mean);

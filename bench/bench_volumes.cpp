@@ -5,10 +5,9 @@
 /// lumivdb_bench_volumes SCENE spacing=H [key=value ...], see usage().
 ///
 /// Errors are of irradiance at the samples over all normals, relative to its mean, worst channel;
-/// the reference's noise, known from its two halves, is taken off. As all samples of a bake share
-/// their directions, one bake's error says little: squares are averaged over bakes with other seeds
-/// (and other caches). Bakes of both integrators take turns; of each number of rays the fastest
-/// counts.
+/// the reference's noise, known from its two halves, is taken off. As samples share patterns of
+/// directions (and a cache), squares are averaged over bakes with other seeds. Bakes of both
+/// integrators take turns; of each number of rays the fastest counts.
 
 #include "program.h"
 

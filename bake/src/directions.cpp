@@ -13,6 +13,11 @@ namespace {
 constexpr double kBelowOne = 0x1.fffffffffffffp-1;
 /// Separates the numbers of later sets from those of the first.
 constexpr std::uint64_t kSetStream = 0x7be5149f0d3c62a9ull;
+/// Separates the choice of a pattern from other uses of a point's key.
+constexpr std::uint64_t kPatternStream = 0x2f8a6c1d94e7b053ull;
+constexpr int kPatterns = 16;
+/// All patterns together have at most so many directions, or one has more.
+constexpr int kPatternDirections = 1 << 16;
 
 /// The even bits of @a v, together.
 constexpr std::uint64_t evenBits(std::uint64_t v)
@@ -113,6 +118,15 @@ std::vector<double> nestedPositions(std::uint64_t seed, std::uint64_t count, int
         all = std::move(both);
     }
     return added;
+}
+
+int SamplingPattern::count(int rays) { return std::clamp(kPatternDirections / rays, 1, kPatterns); }
+
+SamplingPattern::SamplingPattern(std::uint64_t base, std::uint64_t key, int rays)
+    : number(
+        static_cast<int>(mixBits(key ^ kPatternStream) % static_cast<std::uint64_t>(count(rays))))
+    , seed(hashCombine(mixBits(base), static_cast<std::uint64_t>(number)))
+{
 }
 
 std::vector<Vec3f> stratifiedDirections(std::uint64_t seed, int count, int set)

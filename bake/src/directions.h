@@ -44,4 +44,17 @@ std::vector<double> nestedPositions(std::uint64_t seed, std::uint64_t count, int
 /// nestedPositions().
 std::vector<Vec3f> stratifiedDirections(std::uint64_t seed, int count, int set = 0);
 
+/// Points take turns with several patterns of directions, by the random numbers that are theirs
+/// (interleaved sampling: Keller & Heidrich, EGWR 2001). With one for all, edges would pass from
+/// stratum to stratum at the same places for all: their errors would draw bands.
+struct SamplingPattern {
+    int number = 0;
+    std::uint64_t seed = 0; ///< of its directions and emitter samples
+
+    /// The one of the point with random numbers @a key: of 16, fewer above 4,096 @a rays, as all
+    /// are kept.
+    SamplingPattern(std::uint64_t seed, std::uint64_t key, int rays);
+    static int count(int rays);
+};
+
 } // namespace lumivdb

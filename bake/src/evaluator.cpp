@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "evaluator.h"
 
+#include "directions.h"
 #include "mean_bound.h"
 
 #include <lumivdb/core/error.h>
@@ -24,9 +25,9 @@ constexpr int kMaxRounds = 64;
 constexpr std::size_t kWorstPlaces = 10;
 constexpr std::size_t kTimedQueries = 20000;
 constexpr const char* kReferenceStage = "trace the reference";
-/// All points of an estimator share its directions, and with them some of their error: those of a
-/// `twice` are spread over so many pairs.
-constexpr std::uint64_t kPairs = 32;
+/// Points that share directions share some of their error: those of a `twice` are spread over pairs
+/// of so many patterns in all.
+constexpr int kPatterns = 32;
 constexpr double kInf = std::numeric_limits<double>::infinity();
 
 ProbeOptions probeOptions(const EvaluateOptions& o)
@@ -63,7 +64,8 @@ Evaluator::Evaluator(
     , mSampler(volume, options.mode)
     , mNormals(uniformNormals(options.normals))
 {
-    const std::uint64_t count = options.twice ? 2 * kPairs : 1;
+    const auto pairs = static_cast<std::uint64_t>(kPatterns / SamplingPattern::count(options.rays));
+    const std::uint64_t count = options.twice ? 2 * pairs : 1;
     for (std::uint64_t i = 0; i < count; ++i) {
         ProbeOptions o = probeOptions(options);
         if (i > 0) o.seed = hashCombine(o.seed, i);
@@ -166,7 +168,7 @@ Evaluator::Fate Evaluator::compare(const Vec3d& p, Comparison& c)
         std::memcpy(&bits, &p[a], sizeof bits);
         key = hashCombine(key, bits);
     }
-    const std::size_t first = mOptions.twice ? 2 * (key % kPairs) : 0;
+    const std::size_t first = mOptions.twice ? 2 * (key % (mReferences.size() / 2)) : 0;
     ProbeResult r = mReferences[first]->irradiance(p, mNormals, key);
     if (r.validity < kValidThreshold) return Fate::InsideGeometry;
     c.position = p;

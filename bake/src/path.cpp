@@ -59,12 +59,12 @@ auto emissionIn(const Tracer::Impl& impl)
 } // namespace
 
 std::vector<ProbeStrata> probeStrata(const Tracer::Impl& impl, const ProbeOptions& options,
-    const std::vector<Vec3f>& directions, int set)
+    std::uint64_t seed, const std::vector<Vec3f>& directions, int set)
 {
     std::vector<ProbeStrata> strata((directions.size() + kBatch - 1) / kBatch);
     if (options.contribution == Contribution::Indirect) return strata;
-    const auto positions = nestedPositions(
-        options.seed ^ kEmitterStream, static_cast<std::uint64_t>(options.rays), set);
+    const auto positions
+        = nestedPositions(seed ^ kEmitterStream, static_cast<std::uint64_t>(options.rays), set);
     const auto emission = emissionIn(impl);
     tbb::parallel_for(std::size_t{0}, directions.size(), [&](std::size_t number) {
         ProbeStrata& batch = strata[number / kBatch];

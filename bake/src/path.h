@@ -55,9 +55,10 @@ struct ProbeStrata {
     ColorBatch background; ///< what a ray that meets nothing brings, weighted
 };
 
-/// Of all strata of nestedPositions()' set number @a set, in the order of @a directions.
+/// Of all strata of nestedPositions()' set number @a set, in the order of @a directions; @a seed is
+/// that of their pattern.
 std::vector<ProbeStrata> probeStrata(const Tracer::Impl& impl, const ProbeOptions& options,
-    const std::vector<Vec3f>& directions, int set = 0);
+    std::uint64_t seed, const std::vector<Vec3f>& directions, int set = 0);
 
 /// The random numbers of one of PathTracer::gather()'s points.
 struct GatherDraw {

@@ -10,6 +10,7 @@
 #include <tbb/blocked_range.h>
 #include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
 
 #include <algorithm>
 #include <array>
@@ -27,6 +28,8 @@ constexpr int kChunk = 4096;
 constexpr int kMaxRays = 1 << 26;
 /// Sets of directions: the first, and each doubles their number.
 constexpr int kMaxSets = 26;
+/// Sets of more directions are made for a point and not kept.
+constexpr int kMaxKept = 1 << 16;
 /// Chunks in flight: bounds the memory of what they bring back.
 constexpr std::size_t kWave = 256;
 
@@ -340,26 +343,40 @@ struct ProbeEstimator::Workspace::Impl {
 struct ProbeEstimator::Set {
     std::vector<Vec3f> directions;
     std::vector<ProbeStrata> strata;
-    mutable std::once_flag once;
-    mutable std::unique_ptr<const GradientTables> gradient;
 
-    Set(const Tracer::Impl& impl, const ProbeOptions& options, int number)
-        : directions(stratifiedDirections(options.seed, options.rays, number))
-        , strata(probeStrata(impl, options, directions, number))
+    Set(const Tracer::Impl& impl, const ProbeOptions& options, std::uint64_t seed, int number)
+        : directions(stratifiedDirections(seed, options.rays, number))
+        , strata(probeStrata(impl, options, seed, directions, number))
     {
     }
 };
 
-/// What all points share. Sets and gradients' tables are made by whichever thread asks first.
+/// What points share. All is made by whichever thread asks first.
 struct ProbeEstimator::Tables {
-    std::array<std::once_flag, kMaxSets> once;
-    std::array<std::unique_ptr<const Set>, kMaxSets> sets;
+    template <class T> struct Once {
+        std::once_flag flag;
+        std::unique_ptr<const T> value;
+        template <class Make> const T& get(const Make& make)
+        {
+            std::call_once(flag, [&] { value = alone(make); });
+            return *value;
+        }
+    };
+    /// Parallel work in between must not give this thread another point, which may wait for this.
+    template <class Make> static auto alone(const Make& make)
+    {
+        return tbb::this_task_arena::isolate(make);
+    }
+    using Patterns = std::vector<Once<Set>>; // a set's, by pattern
+    std::array<Patterns, kMaxSets> sets;
+    std::array<Once<GradientTables>, kMaxSets> gradients; // by set
 };
 
 /// A point, local, and what all its sets of directions share.
 struct ProbeEstimator::Place {
     Vec3f p;
     std::uint64_t key;
+    SamplingPattern pattern;
     std::vector<PunctualSample> lights;
     std::uint64_t traced = 0; ///< shadow rays to the lights
 };
@@ -376,17 +393,23 @@ ProbeEstimator::ProbeEstimator(const Tracer& tracer, const ProbeOptions& options
 {
     options.validate();
     mTables = std::make_shared<Tables>();
-    set(0);
+    const auto patterns = static_cast<std::size_t>(SamplingPattern::count(options.rays));
+    for (Tables::Patterns& set : mTables->sets) set = Tables::Patterns(patterns);
 }
 
 ProbeEstimator::~ProbeEstimator() = default;
 
-const ProbeEstimator::Set& ProbeEstimator::set(int number) const
+std::shared_ptr<const ProbeEstimator::Set> ProbeEstimator::set(
+    const SamplingPattern& pattern, int number) const
 {
-    const auto i = static_cast<std::size_t>(number);
-    std::call_once(mTables->once[i],
-        [&] { mTables->sets[i] = std::make_unique<Set>(mTracer.impl(), mOptions, number); });
-    return *mTables->sets[i];
+    const auto make = [&] {
+        return std::make_unique<const Set>(mTracer.impl(), mOptions, pattern.seed, number);
+    };
+    const double directions = std::ldexp(mOptions.rays, std::max(0, number - 1));
+    if (number > 0 && directions > kMaxKept) return Tables::alone(make);
+    Tables::Patterns& patterns = mTables->sets[static_cast<std::size_t>(number)];
+    const Set& kept = patterns[static_cast<std::size_t>(pattern.number)].get(make);
+    return {mTables, &kept};
 }
 
 ProbeEstimator::Place ProbeEstimator::placeAt(
@@ -395,7 +418,7 @@ ProbeEstimator::Place ProbeEstimator::placeAt(
     const Tracer::Impl& impl = mTracer.impl();
     Workspace::Impl& own = *workspace.mImpl;
     if (!own.scratch) own.scratch = std::make_unique<Scratch>(impl, mOptions);
-    Place place{impl.toLocal(world), key, {}};
+    Place place{impl.toLocal(world), key, {mOptions.seed, key, mOptions.rays}, {}};
     if (mOptions.contribution == Contribution::Indirect) return place;
     place.lights.resize(impl.scene->lights.size());
     for (std::size_t first = 0; first < place.lights.size(); first += kBatch) {
@@ -410,7 +433,8 @@ template <class Basis>
 ProbeResult ProbeEstimator::estimate(const Place& place, const Basis& basis, int number,
     Workspace& workspace, int gradientBands) const
 {
-    const Set& shared = set(number);
+    const std::shared_ptr<const Set> held = set(place.pattern, number);
+    const Set& shared = *held;
     const Tracer::Impl& impl = mTracer.impl();
     Workspace::Impl& own = *workspace.mImpl;
     std::unique_ptr<GradientScratch> several;
@@ -421,7 +445,7 @@ ProbeResult ProbeEstimator::estimate(const Place& place, const Basis& basis, int
         auto& kept = shared.directions.size() > kChunk ? several : own.gradient;
         if (!kept) kept = std::make_unique<GradientScratch>();
         gradient = kept.get();
-        gradient->tables = &gradientTables(shared);
+        gradient->tables = &gradientTables(number, shared.directions.size());
         gradient->bands = gradientBands;
         gradient->sums.reset(*gradient->tables, gradientBands);
     }
@@ -439,14 +463,13 @@ ProbeResult ProbeEstimator::estimate(const Place& place, const Basis& basis, int
     return r;
 }
 
-const GradientTables& ProbeEstimator::gradientTables(const Set& shared) const
+const GradientTables& ProbeEstimator::gradientTables(int number, std::size_t strata) const
 {
-    std::call_once(shared.once, [&] {
+    return mTables->gradients[static_cast<std::size_t>(number)].get([&] {
         const bool direct = mOptions.contribution != Contribution::Indirect;
-        shared.gradient = std::make_unique<GradientTables>(
-            shared.directions.size(), direct ? mTracer.impl().scene->environment.get() : nullptr);
+        return std::make_unique<const GradientTables>(
+            strata, direct ? mTracer.impl().scene->environment.get() : nullptr);
     });
-    return *shared.gradient;
 }
 
 ProbeResult ProbeEstimator::radianceSh(const Vec3d& p, int bands, std::uint64_t key,

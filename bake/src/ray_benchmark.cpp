@@ -27,13 +27,15 @@ using Rays = std::vector<RecordedRay>;
 std::vector<Rays> recordRays(
     const Tracer::Impl& impl, const ProbeOptions& options, const std::vector<Vec3d>& points)
 {
-    const std::vector<Vec3f> directions = stratifiedDirections(options.seed, options.rays);
-    const std::vector<ProbeStrata> strata = probeStrata(impl, options, directions);
     auto paths = std::make_unique<PathTracer>(impl, options);
     auto batch = std::make_unique<PathBatchResult>();
     std::vector<Rays> rays(points.size());
     for (std::size_t p = 0; p < points.size(); ++p) {
         const std::uint64_t key = hashPoint(options.seed, static_cast<int>(p), 0, 0);
+        const SamplingPattern pattern(options.seed, key, options.rays);
+        const std::vector<Vec3f> directions = stratifiedDirections(pattern.seed, options.rays);
+        const std::vector<ProbeStrata> strata
+            = probeStrata(impl, options, pattern.seed, directions);
         paths->record(&rays[p]);
         for (std::size_t i = 0; i < directions.size(); i += kBatch) {
             const auto n = static_cast<int>(std::min<std::size_t>(kBatch, directions.size() - i));

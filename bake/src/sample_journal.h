@@ -122,7 +122,7 @@ std::shared_ptr<SampleJournal> openJournal(
 
 /// Of what samples of the same options are made of: one more whenever their bits change, so that no
 /// bake goes on with samples of another. test_bake "[revision]" fails where that was forgotten.
-constexpr int kSampleRevision = 2;
+constexpr int kSampleRevision = 3;
 
 /// Lines "name value": all that changes what the bake makes, but for how a file is written.
 std::string journalHeader(const BakeOptions& options, const Scene& scene);

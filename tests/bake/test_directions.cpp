@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The shared directions: uniform over the sphere, one in each stratum, neighbours in order.
+// The directions: uniform over the sphere, one in each stratum, neighbours in order.
 
 #include "../../bake/src/directions.h"
 

@@ -11,6 +11,7 @@
 #include <catch2/catch.hpp>
 
 #include <cmath>
+#include <map>
 
 using namespace lumivdb;
 using namespace lumivdb::test;
@@ -84,6 +85,40 @@ TEST_CASE("directions added set by set are as good as drawn at once", "[stop]")
     }
     // RMS of so many trials is known to 1/√(2 · 256) = 4.4%, the ratio of two to 6.3%.
     CHECK(added.rms < (1 + 3 * 0.063) * atOnce.rms);
+}
+
+TEST_CASE("points take turns with patterns of directions", "[stop][directions]")
+{
+    // At one place all points with the same pattern are equally wrong, and nothing else is random.
+    const auto scene = std::make_shared<const Scene>(hiddenSixth());
+    const Tracer tracer(scene);
+    constexpr int kPoints = 512, kTries = 64, kPatterns = 16;
+    double square = 0, squareOfMean = 0;
+    for (int seed = 1; seed <= kTries; ++seed) {
+        ProbeOptions options;
+        options.rays = kBase;
+        options.seed = static_cast<std::uint64_t>(seed);
+        const ProbeEstimator estimator(tracer, options);
+        ProbeEstimator::Workspace workspace;
+        std::map<float, int> patterns; // told by another coefficient, which no two have the same
+        double mean = 0;
+        for (std::uint64_t key = 0; key < kPoints; ++key) {
+            const ProbeResult r = estimator.radianceSh(Vec3d(0.0), 3, key, workspace);
+            const double error = static_cast<double>(r.value[0].y) - kExpected;
+            ++patterns[r.value[2].y];
+            mean += error / kPoints;
+            square += error * error / kPoints / kTries;
+        }
+        squareOfMean += mean * mean / kTries;
+        CHECK(patterns.size() == kPatterns);
+        for (const auto& [value, count] : patterns) { // 32 each, by chance: 4 standard deviations
+            CHECK(count > 10);
+            CHECK(count < 54);
+        }
+    }
+    // What neighbours have in common is a sixteenth of the square; so many tries tell their mean
+    // square to √(2 / 64) = 18%.
+    CHECK(squareOfMean < (1 + 3 * 0.18) * square / kPatterns);
 }
 
 TEST_CASE("a sample has directions until its noise is what was asked for", "[stop]")

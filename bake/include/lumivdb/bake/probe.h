@@ -7,11 +7,12 @@
 /// N directions cover the sphere, stratified along a Hilbert curve over an equal-area map (He &
 /// Owen, "Extensible grids: uniform sampling on a space-filling curve", JRSS B 78(4), 2016;
 /// Clarberg, "Fast equal-area mapping of the (hemi)sphere using SIMD", 2008), so consecutive rays
-/// are neighbours in direction and can be traced as packets; the same directions serve every point
-/// of a bake. Emitters are also sampled directly; the two strategies are combined by multiple
-/// importance sampling with the balance heuristic (Veach & Guibas, SIGGRAPH 1995). Point, spot and
-/// directional lights are projected analytically. The standard error comes from differences of
-/// consecutive strata, which never underestimates in expectation: σ² = Σ (f_i − f_{i+1})² /
+/// are neighbours in direction and can be traced as packets. Points take turns with a few patterns
+/// of directions, so that what these bring at any point is found once (interleaved sampling: Keller
+/// & Heidrich, EGWR 2001). Emitters are also sampled directly; the two strategies are combined by
+/// multiple importance sampling with the balance heuristic (Veach & Guibas, SIGGRAPH 1995). Point,
+/// spot and directional lights are projected analytically. The standard error comes from differences
+/// of consecutive strata, which never underestimates in expectation: σ² = Σ (f_i − f_{i+1})² /
 /// (2(N−1)), stderr = σ/√N.
 
 #include <lumivdb/bake/tracer.h>
@@ -26,6 +27,7 @@
 namespace lumivdb {
 
 struct GradientTables; // bake/src/gradient.h
+struct SamplingPattern; // bake/src/directions.h
 class RadianceCache; // radiance_cache.h
 
 enum class Contribution {
@@ -122,13 +124,13 @@ private:
     template <class Basis>
     ProbeResult estimate(const Place& place, const Basis& basis, int set, Workspace& workspace,
         int gradientBands) const;
-    const Set& set(int number) const;
+    std::shared_ptr<const Set> set(const SamplingPattern& pattern, int number) const;
     Place placeAt(const Vec3d& world, std::uint64_t key, Workspace& workspace) const;
-    const GradientTables& gradientTables(const Set& set) const;
+    const GradientTables& gradientTables(int set, std::size_t strata) const;
     struct Tables;
     const Tracer& mTracer;
     ProbeOptions mOptions;
-    std::shared_ptr<Tables> mTables; // shared by all points
+    std::shared_ptr<Tables> mTables; // shared by points
 };
 
 /// Σ A_l² |d_lm|² / 4π per channel: the mean over normals of the squared irradiance of @a d.
