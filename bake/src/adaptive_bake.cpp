@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "adaptive_bake.h"
 
-#include "rehearsal.h"
 #include "seconds.h"
 
 #include <lumivdb/bake/visibility.h>
@@ -9,6 +8,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
+#include <utility>
 
 namespace lumivdb {
 
@@ -27,6 +28,14 @@ constexpr double kMaxReferenceRays = 4096;
 constexpr double kInterpolatedNoise = 0.3;
 /// Gradients stay where trilinear interpolation is at least this much more wrong, as RMS.
 constexpr double kGradientsPay = 1.2;
+/// Of the first round, in shares of the target; in the coarsest cells.
+constexpr double kFirstThreshold = 2;
+/// Interpolation's least share of the target's square, whatever else there is.
+constexpr double kLeastAllowed = 0.05;
+constexpr double kNothing2 = 1e-12;
+/// What refinement thinks is wrong went as the 0.34th to 0.64th power of the threshold in the
+/// sample scenes. So many passes tell as much as knowing that.
+constexpr double kPower = 0.5, kPowerTrust = 3, kLeastPower = 0.1;
 
 } // namespace
 
@@ -44,6 +53,7 @@ void AdaptiveBake::start()
 {
     SampleSettings samples = mPlan.samples;
     if (mRehearsalRays > 0) {
+        samples.rehearsedRays = samples.probe.rays;
         samples.probe.rays = mRehearsalRays;
         samples.journal = nullptr;
     }
@@ -92,10 +102,7 @@ bool AdaptiveBake::isOwn(const CellKey& cell) const
 
 IrradianceVolume AdaptiveBake::runOnce()
 {
-    {
-        Seconds time(mReport.secondsTrace);
-        refine(mOptions.refine.error, 0);
-    }
+    refineOnce();
     if (mRefiner->isLimited()) {
         mReport.warnings.push_back("Cells were to be split further, but "
             + std::to_string(mStore->size()) + " samples are traced and "
@@ -200,7 +207,8 @@ int AdaptiveBake::referenceRays() const
     return static_cast<int>(std::clamp(wanted, 64.0, most) / 2);
 }
 
-/// A first look, that can only say no: it takes nothing of the confidence.
+/// A first look at the first round, which is seldom enough, can only say no: it takes nothing of
+/// the confidence. Later rounds end near the target, where few points know too little to go by.
 bool AdaptiveBake::looksWrong(Verification& verification)
 {
     mProgress.enter(mRefiner->steps() + 1, Outlook::Work::Points);
@@ -217,7 +225,7 @@ void AdaptiveBake::verify(const IrradianceVolume& volume, int round, bool last)
     Seconds time(mReport.secondsVerify);
     Verification verification(
         mTracer, mOptions, mPlan, *mRefiner, mCells, volume, referenceRays(), round);
-    if (!last && looksWrong(verification)) return;
+    if (!last && round == 0 && looksWrong(verification)) return;
     mProgress.enter(mRefiner->steps() + 2, Outlook::Work::Points);
     for (;; mVerifyPoints *= 2) {
         // Each look may pass by luck. The risks of all add up to what the confidence allows: shares
@@ -264,27 +272,81 @@ double AdaptiveBake::noise2() const
         if (mean > 0) worst = std::max(worst, sum[c] / (mean * mean));
     }
     // A rehearsal's samples have more noise than the bake's will.
-    if (mRehearsalRays > 0) worst *= static_cast<double>(mRehearsalRays) / mPlan.samples.probe.rays;
+    if (mRehearsalRays > 0) worst *= static_cast<double>(mRehearsalRays) / mStore->meanDirections();
     return worst;
 }
 
-/// Lower, in proportion to how far interpolation alone has to go: refinement takes away neither
-/// what the bands leave out, nor noise, nor a cache's bias.
-double AdaptiveBake::nextThreshold(double threshold, double upper) const
+/// What refinement does not take away, squared: what the bands leave out, noise, a cache's bias.
+double AdaptiveBake::fixedError2() const
 {
     const double bias = mPlan.samples.probe.cache ? mReport.bias.rms : 0;
-    const double fixed2
-        = std::pow(mPlan.truncation, 2) + kInterpolatedNoise * noise2() + bias * bias;
-    const double target2 = std::pow(mPlan.goal, 2);
-    const double now = std::sqrt(std::max(1e-12, upper * upper - fixed2));
-    const double wanted = std::sqrt(std::max(0.05 * target2, target2 - fixed2));
-    return threshold * std::clamp(std::pow(wanted / now, 1.2), 0.25, 0.8);
+    return std::pow(mPlan.truncation, 2) + kInterpolatedNoise * noise2() + bias * bias;
 }
 
-void AdaptiveBake::summarise(double threshold, int rounds)
+/// What refinement itself thinks interpolation leaves out, squared.
+double AdaptiveBake::thoughtError2() const
+{
+    const auto& parts = mCells.contribution;
+    return std::max(kNothing2, std::accumulate(parts.begin(), parts.end(), 0.0));
+}
+
+/// What interpolation may leave out, squared.
+double AdaptiveBake::allowedError2() const
+{
+    const double goal2 = mPlan.goal * mPlan.goal;
+    // Where the bands leave out more than the target, interpolation leaves out as much as they do.
+    return isHopeless() ? goal2 : std::max(kLeastAllowed * goal2, goal2 - fixedError2());
+}
+
+/// What measuring finds of interpolation's error, over what refinement thinks it is, squared.
+/// @a error is all that was measured.
+double AdaptiveBake::truthOfThought2(double error) const
+{
+    return std::max(kNothing2, error * error - fixedError2()) / thoughtError2();
+}
+
+void AdaptiveBake::startRound(int round, double truth2)
+{
+    mRound = {mPass, mThreshold * (round == 1 ? kFirstFall : kLaterFall), thoughtError2(), truth2};
+}
+
+/// The pass that is thought to end the round: what refinement thinks is wrong falls as a power of
+/// the threshold.
+int AdaptiveBake::lastPass() const
+{
+    const double now2 = thoughtError2(), step = -std::log(kStep);
+    const int done = mPass - mRound.firstPass;
+    const double known = 0.5 * std::log(mRound.thought2 / now2) / step; // power times passes
+    const double power
+        = std::max(kLeastPower, (kPowerTrust * kPower + known) / (kPowerTrust + done));
+    const double ahead = 0.5 * std::log(mRound.truth2 * now2 / allowedError2()) / (power * step);
+    const double least = std::log(mThreshold / mRound.least) / step; // passes down to there
+    return mPass - 1
+        + static_cast<int>(
+            std::clamp(std::ceil(ahead), done > 0 ? 0.0 : 1.0, std::floor(least + 1e-9)));
+}
+
+/// Refines with ever lower thresholds, until what refinement thinks is wrong has fallen as far as
+/// the measured error has to. Measuring between steps would tell less than it costs: a thousand
+/// points know an error to a tenth, which refinement's own thought follows closely.
+void AdaptiveBake::approach(int round)
+{
+    Seconds time(mReport.secondsTrace);
+    // A bound far above the error is bad luck with few points rather than work to be done.
+    const AchievedError& a = mReport.achieved;
+    startRound(round, truthOfThought2(std::min(a.upper, kVerifiedError * a.relRmse)));
+    foresee();
+    do {
+        mThreshold *= kStep;
+        refine();
+        foresee();
+    } while (!mRefiner->isLimited() && lastPass() >= mPass);
+}
+
+void AdaptiveBake::summarise(int rounds)
 {
     const AchievedError& a = mReport.achieved;
-    mReport.decisions.push_back("error threshold " + percentText(threshold) + " in the coarsest "
+    mReport.decisions.push_back("error threshold " + percentText(mThreshold) + " in the coarsest "
         + "cells, after " + std::to_string(rounds) + (rounds == 1 ? " round" : " rounds")
         + " of measuring at new points");
     if (mPlan.samples.stop.most > 0) {
@@ -320,52 +382,68 @@ void AdaptiveBake::warnOfPointLights()
 }
 
 /// Where the samples end before a round does, the lowest threshold that they suffice for.
-void AdaptiveBake::spendWhatIsLeft(double& threshold)
+void AdaptiveBake::spendWhatIsLeft()
 {
     Seconds time(mReport.secondsTrace);
     for (int i = 0; i < 12 && mRefiner->isLimited(); ++i) {
-        threshold *= 1.3;
-        mCells = mRefiner->run(threshold, mProgress);
+        mThreshold *= 1.3;
+        mCells = mRefiner->run(mThreshold, mProgress);
     }
 }
 
 IrradianceVolume AdaptiveBake::runToTarget()
 {
-    double threshold = 2 * mPlan.goal;
     for (int round = 0;; ++round) {
-        {
-            Seconds time(mReport.secondsTrace);
-            refineRound(threshold, round);
-        }
+        round == 0 ? refineFirst() : approach(round);
         const bool limited = mRefiner->isLimited();
-        if (limited) spendWhatIsLeft(threshold);
+        if (limited) spendWhatIsLeft();
         IrradianceVolume volume = assemble();
         const bool last = limited || isLast(round);
         verify(volume, round, last);
         if (mReport.achieved.met || last) {
-            summarise(threshold, round + 1);
+            summarise(round + 1);
             VolumeMetadata& m = volume.metadata();
             m.errorAsked = mOptions.target.error;
             m.errorReached = mReport.achieved.upper;
             m.errorConfidence = mReport.achieved.confidence;
             return volume;
         }
-        threshold = nextThreshold(threshold, mReport.achieved.upper);
     }
 }
 
-void AdaptiveBake::refineRound(double threshold, int round)
+void AdaptiveBake::refineFirst()
 {
-    refine(threshold, round == 0 ? 0 : round + 1);
-    if (round > 0) return;
+    Seconds time(mReport.secondsTrace);
+    mThreshold = kFirstThreshold * mPlan.goal;
+    refine();
     reconsiderGradients();
-    if (mStore->size() == 0) refine(threshold, 1);
+    if (mStore->size() == 0) refine();
+    mPass = kFirstPasses;
+    mProgress.enterPass(kFirstPasses - 1);
 }
 
-void AdaptiveBake::refine(double threshold, int pass)
+void AdaptiveBake::refineOnce()
 {
-    mProgress.enterPass(pass);
-    mCells = mRefiner->run(threshold, mProgress);
+    Seconds time(mReport.secondsTrace);
+    mThreshold = mOptions.refine.error;
+    refine();
+}
+
+void AdaptiveBake::foresee(Forecast forecast)
+{
+    mForecast = std::move(forecast);
+    mProgress.plan(mForecast.plan(mForecast.last));
+}
+
+void AdaptiveBake::foresee()
+{
+    if (!mForecast.passes.empty()) mProgress.plan(mForecast.plan(lastPass()));
+}
+
+void AdaptiveBake::refine()
+{
+    mProgress.enterPass(mPass++);
+    mCells = mRefiner->run(mThreshold, mProgress);
 }
 
 bool AdaptiveBake::isLast(int round) const
@@ -377,10 +455,9 @@ IrradianceVolume bakeAdaptive(const Tracer& tracer, const BakeOptions& options,
     const BakePlan& plan, BakeReport& report, Progress& progress)
 {
     Outlook outlook(progress);
-    // How many rounds a target takes, and how many rays its samples, cannot be rehearsed cheaply.
-    const bool known = plan.samples.stop.most == 0;
-    if (known && progress.wantsForecast()) rehearse(tracer, options, plan, report, outlook);
-    return AdaptiveBake(tracer, options, plan, report, outlook).run();
+    AdaptiveBake bake(tracer, options, plan, report, outlook);
+    if (progress.wantsForecast()) bake.foresee(rehearse(tracer, options, plan, report, outlook));
+    return bake.run();
 }
 
 } // namespace lumivdb

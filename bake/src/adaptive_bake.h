@@ -6,6 +6,7 @@
 
 #include "bake_plan.h"
 #include "refiner.h"
+#include "rehearsal.h"
 #include "verification.h"
 
 #include <memory>
@@ -27,9 +28,11 @@ public:
         start();
     }
 
-    /// Decides what run() would, from samples of fewer directions, and leaves in the outlook how
-    /// long the bake's steps will take. For one that was given a number of rays for it.
-    void rehearse();
+    /// Decides what run() would, from samples of fewer directions. For one that was given a number
+    /// of rays for it.
+    Forecast rehearse();
+    /// What run() will tell its outlook by.
+    void foresee(Forecast forecast);
 
     IrradianceVolume run();
 
@@ -43,6 +46,11 @@ private:
     /// What verification finds, with its confidence, over what refinement thinks: 1.02 to 1.33 in
     /// the sample scenes.
     static constexpr double kVerifiedError = 1.12;
+    /// By how much thresholds fall between looks at what refinement thinks is wrong, and how far at
+    /// most before the next measurement, of the first round and of later ones.
+    static constexpr double kStep = 0.75, kFirstFall = 0.1, kLaterFall = 0.4;
+    /// Passes of the first round: with gradients, and perhaps anew without.
+    static constexpr int kFirstPasses = 2;
 
     void start();
     void choosePart();
@@ -50,21 +58,28 @@ private:
 
     IrradianceVolume runOnce();
     IrradianceVolume runToTarget();
-    void refine(double threshold, int pass);
-    void refineRound(double threshold, int round);
-    void foreseeVerification(double error);
-    double foreseenError() const;
+    void refine();
+    void refineOnce();
+    void refineFirst();
+    void approach(int round);
+    void foresee();
+    void startRound(int round, double truth2);
+    int lastPass() const;
+    void remember(Forecast& forecast);
     bool isLast(int round) const;
     /// Whether the bands alone leave out more than the target.
     bool isHopeless() const { return mPlan.truncation >= mOptions.target.error; }
     void reconsiderGradients();
-    void spendWhatIsLeft(double& threshold);
+    void spendWhatIsLeft();
     bool looksWrong(Verification& verification);
     void verify(const IrradianceVolume& volume, int round, bool last);
     double noise2() const;
     int referenceRays() const;
-    double nextThreshold(double threshold, double upper) const;
-    void summarise(double threshold, int rounds);
+    double fixedError2() const;
+    double thoughtError2() const;
+    double allowedError2() const;
+    double truthOfThought2(double error) const;
+    void summarise(int rounds);
     void warnOfPointLights();
 
     IrradianceVolume build(const std::vector<CellKey>& cells) const;
@@ -81,6 +96,15 @@ private:
     std::unique_ptr<Refiner> mRefiner;
     std::vector<CellKey> mOwnRoots; // sorted; empty: all
     RefinedCells mCells;
+    double mThreshold = 0; // of mCells
+    int mPass = 0; // of refinement, the next
+    struct {
+        int firstPass = 0;
+        double least = 0; // threshold
+        double thought2 = 0, truth2 = 0; // when it began; see truthOfThought2()
+    } mRound;
+    Forecast mForecast;
+    double mRehearsedSeconds = 0; // of tracing, in what was remembered
     std::uint64_t mDroppedRays = 0;
     int mLooks = 0; // of verifications so far
     std::size_t mVerifyPoints = kVerifyPoints;

@@ -191,6 +191,7 @@ private:
         const Pilot pilot = lookAhead(mTracer, probe, worldBox(), kPilotPoints, progress);
         mPlan.meanE = pilot.meanE;
         mPlan.noisePerRay = pilot.noisePerRay;
+        mPlan.secondsPerDirection = pilot.secondsPerDirection;
         mReport.rays += pilot.rays;
         if (mOptions.bands == 0) chooseBands(pilot);
         mPlan.truncation = pilot.truncation[static_cast<std::size_t>(mPlan.samples.bands)];

@@ -22,11 +22,7 @@ struct BakePlan {
     /// The target error, or what the bands leave out where that is more: then the target is out of
     /// reach, and less noise or interpolation error would be work for nothing.
     double goal = 0;
-    /// Standard error of a sample with the rays of `samples`, relative to the mean irradiance.
-    double sampleNoise() const
-    {
-        return noisePerRay / std::sqrt(static_cast<double>(samples.probe.rays));
-    }
+    double secondsPerDirection = 0; ///< of a sample, as the first look at the light found
 };
 
 /// Fills in what @a options leave open and says why in @a report.

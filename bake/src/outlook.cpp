@@ -41,11 +41,10 @@ Outlook::~Outlook()
     if (mTalks) mTo.expect(std::numeric_limits<double>::infinity());
 }
 
-void Outlook::plan(std::vector<Step> steps, double factor)
+void Outlook::plan(std::vector<Step> steps)
 {
     const std::lock_guard<std::mutex> guard(mMutex);
     mPlan = std::move(steps);
-    for (Step& step : mPlan) step.seconds *= step.work == Work::Samples ? factor : 1;
     tell();
 }
 
@@ -58,13 +57,6 @@ void Outlook::enter(int place, Work work)
     mStepStart = std::chrono::steady_clock::now();
     mTotal = 0;
     mDone = 0;
-}
-
-void Outlook::add(int place, Work work, double seconds)
-{
-    const std::lock_guard<std::mutex> guard(mMutex);
-    endStep();
-    mSteps.push_back({mPass, place, work, seconds});
 }
 
 const std::vector<Outlook::Step>& Outlook::steps()
@@ -80,10 +72,12 @@ void Outlook::endStep()
     mInStep = false;
     Step& step = mSteps.back();
     step.seconds = secondsSince(mStepStart);
-    // Samples of a journal take no time: they say nothing about those that will be traced.
-    if (!std::exchange(mKept, false)) {
+    // Samples of a journal take no time, and what was not planned any: they say nothing about what
+    // is left of the plan.
+    const double thought = planned(step);
+    if (!std::exchange(mKept, false) && thought > 0) {
         const auto w = static_cast<std::size_t>(step.work);
-        mPlanned[w] += planned(step);
+        mPlanned[w] += thought;
         mTaken[w] += step.seconds;
     }
 }

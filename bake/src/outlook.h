@@ -28,6 +28,7 @@ public:
         int pass, place; ///< in this order; the same in the rehearsal
         Work work;
         double seconds;
+        double directions = 0; ///< of samples, as told
     };
     /// Hands on only cancelled() where not @a talks.
     explicit Outlook(Progress& to, bool talks = true);
@@ -35,15 +36,14 @@ public:
     Outlook(const Outlook&) = delete;
     Outlook& operator=(const Outlook&) = delete;
 
-    /// What is to come, in order; samples take @a factor times as long. From now on the user is
-    /// told what is left.
-    void plan(std::vector<Step> steps, double factor);
+    /// What the whole bake takes, in order, as far as is known now. The user is told what is left.
+    void plan(std::vector<Step> steps);
     /// The refinement of pass @a pass, 0, 1, …, begins.
     void enterPass(int pass) { mPass = pass; }
     /// A step begins: place @a place of the pass, ascending.
     void enter(int place, Work work);
-    /// Adds a step that is not measured but thought to take @a seconds.
-    void add(int place, Work work, double seconds);
+    /// Samples of the step have so many more directions.
+    void addDirections(double directions) { mSteps.back().directions += directions; }
     /// Ends the last step. @return all so far.
     const std::vector<Step>& steps();
 

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "pilot.h"
 
+#include "seconds.h"
+
 #include <lumivdb/bake/bake.h>
 #include <lumivdb/core/error.h>
 #include <lumivdb/core/random.h>
@@ -109,22 +111,28 @@ Pilot lookAhead(const Tracer& tracer, const ProbeOptions& probe, const Box3d& bo
     Looker looker(tracer, probe);
     std::vector<Look> looks(count);
     std::atomic<bool> stop{false};
-    tbb::parallel_for(std::size_t{0}, count, [&](std::size_t i) {
-        if (stop || progress.cancelled()) {
-            stop = true;
-            return;
-        }
-        const std::uint64_t key = hashCombine(mixBits(probe.seed ^ kPilotStream), i);
-        CounterRng rng(key);
-        Vec3d p;
-        for (int a = 0; a < 3; ++a) {
-            p[a] = box.min[a] + rng.nextDouble() * (box.max[a] - box.min[a]);
-        }
-        looks[i] = looker.look(p, key);
-        progress.advance(1);
-    });
+    double seconds = 0;
+    {
+        Seconds time(seconds);
+        tbb::parallel_for(std::size_t{0}, count, [&](std::size_t i) {
+            if (stop || progress.cancelled()) {
+                stop = true;
+                return;
+            }
+            const std::uint64_t key = hashCombine(mixBits(probe.seed ^ kPilotStream), i);
+            CounterRng rng(key);
+            Vec3d p;
+            for (int a = 0; a < 3; ++a) {
+                p[a] = box.min[a] + rng.nextDouble() * (box.max[a] - box.min[a]);
+            }
+            looks[i] = looker.look(p, key);
+            progress.advance(1);
+        });
+    }
     if (stop) throw Error(ErrorCode::Interrupted, "The bake was interrupted; nothing was written.");
-    return summarise(looks, probe.rays);
+    Pilot pilot = summarise(looks, probe.rays);
+    pilot.secondsPerDirection = seconds / (static_cast<double>(count) * probe.rays);
+    return pilot;
 }
 
 } // namespace lumivdb

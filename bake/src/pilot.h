@@ -21,6 +21,7 @@ struct Pilot {
     /// Mean over points of each one's own, at most as much.
     double meanNoisePerRay = 0;
     std::uint64_t rays = 0;
+    double secondsPerDirection = 0; ///< of all threads together
 };
 
 /// Probes at up to @a count free places of @a box. The same box, count and options give the same

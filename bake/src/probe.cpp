@@ -264,21 +264,38 @@ void addSet(ProbeResult& all, const ProbeResult& added)
     all.directions += added.directions;
 }
 
-bool isEnough(const ProbeResult& r, int bands, const StopRule& stop)
+/// Standard error of E, RMS over normals, worst channel: over the mean irradiance, and over that or
+/// the point's own where it has more.
+struct Noise {
+    double ofMean = 0, ofOwn = 0;
+};
+
+Noise noiseOf(const ProbeResult& r, int bands, const StopRule& stop)
 {
-    if (2 * r.directions > static_cast<std::uint64_t>(stop.most)) return true;
     const Vec3d variance = irradianceNorm2(bands, r.stderr_.data());
     const Vec3d own2 = irradianceNorm2(bands, r.value.data());
-    double noise = 0, ownNoise = 0;
+    Noise noise;
     for (int c = 0; c < 3; ++c) {
         const double mean = stop.meanE[c], deviation = std::sqrt(variance[c]);
         if (!(mean > 0)) continue;
-        noise = std::max(noise, deviation / mean);
-        ownNoise = std::max(ownNoise, deviation / std::max(mean, std::sqrt(own2[c])));
+        noise.ofMean = std::max(noise.ofMean, deviation / mean);
+        noise.ofOwn = std::max(noise.ofOwn, deviation / std::max(mean, std::sqrt(own2[c])));
     }
-    // N >= perDeviation σ with σ = noise √N
-    return ownNoise <= stop.tolerance
-        && std::sqrt(static_cast<double>(r.directions)) >= stop.perDeviation * noise;
+    return noise;
+}
+
+/// Whether @a directions would be enough where noise falls as by chance from that of @a r.
+bool isEnough(double directions, const ProbeResult& r, const Noise& noise, const StopRule& stop)
+{
+    if (2 * directions > stop.most) return true;
+    const double root = std::sqrt(static_cast<double>(r.directions)); // N >= perDeviation σ
+    return noise.ofOwn * root <= stop.tolerance * std::sqrt(directions)
+        && directions >= stop.perDeviation * noise.ofMean * root;
+}
+
+bool isEnough(const ProbeResult& r, int bands, const StopRule& stop)
+{
+    return isEnough(static_cast<double>(r.directions), r, noiseOf(r, bands, stop), stop);
 }
 
 /// Values, errors and what the rays saw. The sums are means by now.
@@ -483,6 +500,15 @@ ProbeResult ProbeEstimator::radianceSh(const Vec3d& p, int bands, std::uint64_t 
         addSet(r, estimate(place, basis, k, workspace, gradientBands));
     }
     return r;
+}
+
+std::uint64_t foreseenDirections(
+    const ProbeResult& r, int bands, const StopRule& stop, std::uint64_t first)
+{
+    const Noise noise = noiseOf(r, bands, stop);
+    std::uint64_t directions = first;
+    while (!isEnough(static_cast<double>(directions), r, noise, stop)) directions *= 2;
+    return directions;
 }
 
 ProbeResult ProbeEstimator::irradiance(const Vec3d& p, const std::vector<Vec3f>& normals,

@@ -29,10 +29,13 @@ constexpr double kSceneClearance = 2e-6;
 SampleJournal::Kind kindOf(const SampleSettings& settings)
 {
     // Taken apart, so that a new member does not compile before it has found its place here.
-    const auto& [probe, stop, levels, bands, gradients, spacing, gradientReach, journal] = settings;
+    const auto& [probe, stop, levels, bands, gradients, spacing, gradientReach, rehearsedRays,
+        journal]
+        = settings;
     const auto& [meanE, perDeviation, tolerance, most] = stop;
     const auto& [rays, maxBounces, contribution, seed, cache] = probe;
     static_cast<void>(journal);
+    static_cast<void>(rehearsedRays); // keeps no journal
     const auto bits = [](double v) {
         std::uint64_t u;
         std::memcpy(&u, &v, sizeof u);
@@ -95,9 +98,11 @@ BakedSample SampleBaker::trace(const Coord& c, ProbeEstimator::Workspace& worksp
     const Vec3d lattice = world(c);
     Vec3d p = moveOffSurfaces(mTracer, lattice, mClearance);
     BakedSample sample;
+    const int first = mSettings.rehearsedRays;
+    const StopRule asked = stopRule(c), stop = first > 0 ? StopRule() : asked;
     const auto measure = [&](const Vec3d& place) {
         ProbeResult r
-            = mEstimator.radianceSh(place, mSettings.bands, key, workspace, analytic, stopRule(c));
+            = mEstimator.radianceSh(place, mSettings.bands, key, workspace, analytic, stop);
         sample.rays += r.rays;
         return r;
     };
@@ -113,6 +118,10 @@ BakedSample SampleBaker::trace(const Coord& c, ProbeEstimator::Workspace& worksp
     sample.offset = Vec3f(p - lattice);
     sample.variance = Color(irradianceNorm2(mSettings.bands, sample.result.stderr_.data()));
     if (mSettings.gradients != GradientMethod::None) addGradient(p, key, workspace, sample);
+    if (first > 0) {
+        sample.result.directions = foreseenDirections(
+            sample.result, mSettings.bands, asked, static_cast<std::uint64_t>(first));
+    }
     return sample;
 }
 

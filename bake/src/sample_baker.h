@@ -24,11 +24,14 @@ struct SampleSettings {
     double spacing = 1; ///< of the lattice
     /// How far gradients will be used, see gradientFactor(); 0: not yet known, they stay whole.
     double gradientReach = 0;
+    /// In a rehearsal, the directions that the bake's samples begin with; its own have no more than
+    /// they begin with.
+    int rehearsedRays = 0;
     SampleJournal* journal = nullptr; ///< where samples are kept and taken from; null: nowhere
 };
 
 struct BakedSample {
-    ProbeResult result;
+    ProbeResult result; ///< in a rehearsal, with as many directions as are foreseen
     Vec3f offset{0, 0, 0}; ///< from the lattice point to where it was measured, world units
     Color variance; ///< of E, averaged over normals: Σ A_l² var(L_lm) / 4π
     std::uint64_t rays = 0;

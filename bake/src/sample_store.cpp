@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "sample_store.h"
 
+#include "seconds.h"
+
 #include <lumivdb/core/random.h>
 #include <lumivdb/core/volume.h>
 
@@ -38,15 +40,16 @@ std::size_t SampleStore::missing(std::vector<Coord> points) const
     return points.size();
 }
 
-void SampleStore::require(std::vector<Coord> points, Progress& progress)
+void SampleStore::require(std::vector<Coord> points, Outlook& outlook)
 {
     keepMissing(points);
     if (points.empty()) return;
-    trace(points, progress);
+    trace(points, outlook);
 }
 
-void SampleStore::trace(const std::vector<Coord>& points, Progress& progress)
+void SampleStore::trace(const std::vector<Coord>& points, Outlook& outlook)
 {
+    Seconds time(mSeconds);
     const std::size_t first = mInfo.size();
     mInfo.resize(first + points.size());
     mRecords.resize((first + points.size()) * mStride);
@@ -62,11 +65,12 @@ void SampleStore::trace(const std::vector<Coord>& points, Progress& progress)
             rays[i] = s.rays;
             directions[i] = s.result.directions;
         },
-        progress);
+        outlook);
     for (std::size_t i = 0; i < points.size(); ++i) {
         mIndex.emplace(points[i], first + i);
         mRays += rays[i];
         mDirections += directions[i];
+        outlook.addDirections(static_cast<double>(directions[i]));
     }
 }
 

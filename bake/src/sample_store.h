@@ -4,6 +4,7 @@
 /// @file sample_store.h
 /// The samples of a bake whose topology is not yet known: traced when they are first asked for.
 
+#include "outlook.h"
 #include "sample_baker.h"
 
 #include <unordered_map>
@@ -28,8 +29,9 @@ public:
     SampleStore(const Tracer& tracer, const SampleSettings& settings);
 
     /// Traces those of @a points that are not yet there, in parallel. Their order, and the order of
-    /// calls, does not change any sample. @throws Error(Interrupted).
-    void require(std::vector<Coord> points, Progress& progress);
+    /// calls, does not change any sample. @a outlook is in a step of samples. @throws
+    /// Error(Interrupted).
+    void require(std::vector<Coord> points, Outlook& outlook);
 
     /// How many of @a points, which may repeat, are not yet there.
     std::size_t missing(std::vector<Coord> points) const;
@@ -47,7 +49,8 @@ public:
     const SampleSettings& settings() const { return mBaker.settings(); }
     std::size_t size() const { return mInfo.size(); }
     std::uint64_t rays() const { return mRays; }
-    /// Directions of a sample, rounded mean over all.
+    double seconds() const { return mSeconds; } ///< that tracing took
+    /// Directions of a sample, rounded mean over all; in a rehearsal, of the bake's as foreseen.
     int meanDirections() const;
     /// Mean standard error of E over all samples / mean E.
     double meanRelativeStderr() const;
@@ -55,13 +58,14 @@ public:
 private:
     /// Leaves those that are missing, sorted, once each.
     void keepMissing(std::vector<Coord>& points) const;
-    void trace(const std::vector<Coord>& points, Progress& progress);
+    void trace(const std::vector<Coord>& points, Outlook& outlook);
     SampleBaker mBaker;
     std::size_t mStride;
     std::unordered_map<Coord, std::size_t, CoordHash> mIndex;
     std::vector<Color> mRecords;
     std::vector<Info> mInfo;
     std::uint64_t mRays = 0, mDirections = 0;
+    double mSeconds = 0;
 };
 
 } // namespace lumivdb

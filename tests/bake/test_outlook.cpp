@@ -4,11 +4,14 @@
 #include "bake_makers.h"
 
 #include "../../bake/src/outlook.h"
+#include "../../bake/src/rehearsal.h"
 
 #include <catch2/catch.hpp>
 
 #include <cmath>
 #include <mutex>
+#include <tuple>
+#include <vector>
 
 using namespace lumivdb;
 using namespace lumivdb::test;
@@ -51,22 +54,49 @@ TEST_CASE("an outlook adds what is planned and not done", "[bake][outlook]")
     Progress nobody;
     Outlook outlook(nobody);
     CHECK(std::isinf(outlook.secondsLeft()));
-    outlook.plan({{0, 0, Work::Samples, 10}, {0, 1, Work::Cells, 7}, {1, 0, Work::Samples, 40}}, 4);
-    CHECK(outlook.secondsLeft() == Approx(4 * 10 + 7 + 4 * 40));
+    outlook.plan({{0, 0, Work::Samples, 40}, {0, 1, Work::Cells, 7}, {1, 0, Work::Samples, 160}});
+    CHECK(outlook.secondsLeft() == Approx(40 + 7 + 160));
     outlook.enter(0, Work::Samples);
     outlook.begin("trace samples", 4);
-    CHECK(outlook.secondsLeft() == Approx(4 * 10 + 7 + 4 * 40).epsilon(0.01));
+    CHECK(outlook.secondsLeft() == Approx(40 + 7 + 160).epsilon(0.01));
     // All but instantly: what is left of that kind is thought to be far quicker too.
     outlook.advance(4);
-    CHECK(outlook.secondsLeft() < 7 + 0.05 * 4 * 40);
+    CHECK(outlook.secondsLeft() < 7 + 0.05 * 160);
     outlook.enter(1, Work::Cells);
     CHECK(outlook.secondsLeft() > 7);
     outlook.enterPass(1);
     outlook.enter(0, Work::Samples);
-    CHECK(outlook.secondsLeft() < 0.05 * 4 * 40);
+    CHECK(outlook.secondsLeft() < 0.05 * 160);
     outlook.enterPass(2); // of which the plan knows nothing
     outlook.enter(0, Work::Samples);
     CHECK(std::isinf(outlook.secondsLeft()));
+}
+
+TEST_CASE("a forecast goes on as its last passes did", "[bake][outlook]")
+{
+    Forecast forecast;
+    forecast.places = 7;
+    forecast.look = 1;
+    forecast.proof = 4;
+    forecast.passes = {{1, 0.5, {{0, 0, Work::Samples, 2}, {1, 0, Work::Samples, 3}}},
+        {2, 0.6, {{2, 0, Work::Samples, 4}}}, {3, 0.7, {{3, 0, Work::Samples, 5}}}};
+    const auto secondsTo = [&](int end) {
+        const std::vector<Outlook::Step> steps = forecast.plan(end);
+        CHECK(steps.back().pass == end);
+        CHECK(steps.back().work == Work::Points);
+        double sum = 0;
+        for (std::size_t i = 0; i < steps.size(); ++i) {
+            sum += steps[i].seconds;
+            if (i == 0) continue;
+            const Outlook::Step &a = steps[i - 1], &b = steps[i];
+            CHECK(std::tie(a.pass, a.place) < std::tie(b.pass, b.place));
+        }
+        return sum;
+    };
+    const double first = 2 + 3 + 0.5 + 1;
+    CHECK(secondsTo(1) == Approx(first + 4));
+    CHECK(secondsTo(2) == Approx(first + 4 + 0.6 + 4));
+    CHECK(secondsTo(4) == Approx(first + 4 + 5 + 5 * 5 / 4.0 + 0.7 + 4));
 }
 
 TEST_CASE("a bake that tells how long it takes is the same bake", "[bake][outlook]")
@@ -78,7 +108,10 @@ TEST_CASE("a bake that tells how long it takes is the same bake", "[bake][outloo
     target.levels = 2;
     target.target.error = 0.2;
     target.target.chooseRays = false;
-    for (const BakeOptions& options : {adaptive, target}) {
+    BakeOptions choosing = target;
+    choosing.target.chooseRays = true;
+    choosing.target.error = 0.1;
+    for (const BakeOptions& options : {adaptive, target, choosing}) {
         Listener deaf(false), listener(true);
         const BakeResult silent = bakeVolume(*tracer, options, &deaf);
         const BakeResult told = bakeVolume(*tracer, options, &listener);

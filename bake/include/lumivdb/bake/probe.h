@@ -11,9 +11,9 @@
 /// of directions, so that what these bring at any point is found once (interleaved sampling: Keller
 /// & Heidrich, EGWR 2001). Emitters are also sampled directly; the two strategies are combined by
 /// multiple importance sampling with the balance heuristic (Veach & Guibas, SIGGRAPH 1995). Point,
-/// spot and directional lights are projected analytically. The standard error comes from differences
-/// of consecutive strata, which never underestimates in expectation: σ² = Σ (f_i − f_{i+1})² /
-/// (2(N−1)), stderr = σ/√N.
+/// spot and directional lights are projected analytically. The standard error comes from
+/// differences of consecutive strata, which never underestimates in expectation: σ² = Σ (f_i −
+/// f_{i+1})² / (2(N−1)), stderr = σ/√N.
 
 #include <lumivdb/bake/tracer.h>
 #include <lumivdb/core/progress.h>
@@ -86,6 +86,11 @@ struct ProbeResult {
     std::uint64_t rays = 0; ///< rays traced, shadow rays included
     std::uint64_t directions = 0; ///< ProbeOptions::rays, or what a StopRule made of it
 };
+
+/// How many directions @a stop would make of @a first, by the noise that @a r has with some other
+/// number.
+std::uint64_t foreseenDirections(
+    const ProbeResult& r, int bands, const StopRule& stop, std::uint64_t first);
 
 /// Estimates light at points of one scene. Const and thread-safe; each thread brings a Workspace.
 class ProbeEstimator {
