@@ -36,6 +36,8 @@ constexpr double kNothing2 = 1e-12;
 /// What refinement thinks is wrong went as the 0.34th to 0.64th power of the threshold in the
 /// sample scenes. So many passes tell as much as knowing that.
 constexpr double kPower = 0.5, kPowerTrust = 3, kLeastPower = 0.1;
+/// More are not foreseen.
+constexpr double kMostPasses = 20;
 
 } // namespace
 
@@ -310,8 +312,8 @@ void AdaptiveBake::startRound(int round, double truth2)
     mRound = {mPass, mThreshold * (round == 1 ? kFirstFall : kLaterFall), thoughtError2(), truth2};
 }
 
-/// The pass that is thought to end the round: what refinement thinks is wrong falls as a power of
-/// the threshold.
+/// The pass whose volume is thought to be good enough: what refinement thinks is wrong falls as a
+/// power of the threshold.
 int AdaptiveBake::lastPass() const
 {
     const double now2 = thoughtError2(), step = -std::log(kStep);
@@ -320,10 +322,14 @@ int AdaptiveBake::lastPass() const
     const double power
         = std::max(kLeastPower, (kPowerTrust * kPower + known) / (kPowerTrust + done));
     const double ahead = 0.5 * std::log(mRound.truth2 * now2 / allowedError2()) / (power * step);
-    const double least = std::log(mThreshold / mRound.least) / step; // passes down to there
     return mPass - 1
-        + static_cast<int>(
-            std::clamp(std::ceil(ahead), done > 0 ? 0.0 : 1.0, std::floor(least + 1e-9)));
+        + static_cast<int>(std::clamp(std::ceil(ahead), done > 0 ? 0.0 : 1.0, kMostPasses));
+}
+
+/// Whether the round goes on: not further than it may, whatever is missing then.
+bool AdaptiveBake::goesOn() const
+{
+    return !mRefiner->isLimited() && mThreshold * kStep >= mRound.least && lastPass() >= mPass;
 }
 
 /// Refines with ever lower thresholds, until what refinement thinks is wrong has fallen as far as
@@ -340,7 +346,7 @@ void AdaptiveBake::approach(int round)
         mThreshold *= kStep;
         refine();
         foresee();
-    } while (!mRefiner->isLimited() && lastPass() >= mPass);
+    } while (goesOn());
 }
 
 void AdaptiveBake::summarise(int rounds)

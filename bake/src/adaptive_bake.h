@@ -65,6 +65,7 @@ private:
     void foresee();
     void startRound(int round, double truth2);
     int lastPass() const;
+    bool goesOn() const;
     void remember(Forecast& forecast);
     bool isLast(int round) const;
     /// Whether the bands alone leave out more than the target.

@@ -104,12 +104,13 @@ Forecast AdaptiveBake::rehearse()
     const double error = kVerifiedError * std::sqrt(fixedError2() + thoughtError2());
     if (!isHopeless() && error < mOptions.target.error) return forecast;
     startRound(1, truthOfThought2(error));
-    for (int end = lastPass(); mPass <= end && !mRefiner->isLimited();) {
+    const int last = lastPass();
+    while (mPass <= last && !mRefiner->isLimited() && mThreshold * kStep >= mRound.least) {
         mThreshold *= kStep;
         refine();
         remember(forecast);
     }
-    forecast.last = mPass - 1;
+    forecast.last = mRefiner->isLimited() ? mPass - 1 : last;
     return forecast;
 }
 
