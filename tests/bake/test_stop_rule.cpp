@@ -153,6 +153,42 @@ TEST_CASE("a sample has directions until its noise is what was asked for", "[sto
     CHECK(last < (1 << 16));
 }
 
+TEST_CASE("few directions tell how many a sample will have", "[stop][outlook]")
+{
+    const auto scene = std::make_shared<const Scene>(hiddenSixth());
+    const Tracer tracer(scene);
+    ProbeOptions options;
+    options.rays = 16;
+    const ProbeEstimator few(tracer, options);
+    options.rays = kBase;
+    const ProbeEstimator estimator(tracer, options);
+    ProbeEstimator::Workspace ofFew, workspace;
+    const ProbeResult r = few.radianceSh(Vec3d(0.0), 3, 1, ofFew);
+    CHECK(foreseenDirections(r, 3, StopRule(), kBase) == kBase);
+    CHECK(foreseenDirections(r, 3, upTo(1000), kBase) == 512);
+    StopRule easy = upTo(1000);
+    easy.tolerance = 1;
+    CHECK(foreseenDirections(r, 3, easy, kBase) == kBase);
+
+    // Noise of stratified directions falls faster than that of independent ones, which is what is
+    // foreseen: more directions than there will be, by less than their ratio to the few.
+    StopRule stop = upTo(1 << 16);
+    for (const double tolerance : {0.03, 0.01, 0.003}) {
+        stop.tolerance = tolerance;
+        double foreseen = 0, had = 0;
+        for (std::uint64_t key = 0; key < 64; ++key) {
+            const ProbeResult look = few.radianceSh(Vec3d(0.0), 3, key, ofFew);
+            foreseen += static_cast<double>(foreseenDirections(look, 3, stop, kBase)) / 64;
+            const ProbeResult full
+                = estimator.radianceSh(Vec3d(0.0), 3, key, workspace, false, stop);
+            had += static_cast<double>(full.directions) / 64;
+        }
+        CAPTURE(tolerance, foreseen, had);
+        CHECK(foreseen >= had);
+        CHECK(foreseen < had * std::sqrt(had / 16) * 2);
+    }
+}
+
 TEST_CASE("stopping by the rays' own noise leaves the mean alone", "[stop]")
 {
     const auto scene = std::make_shared<const Scene>(hiddenSixth());
