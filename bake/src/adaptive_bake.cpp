@@ -28,16 +28,22 @@ constexpr double kMaxReferenceRays = 4096;
 constexpr double kInterpolatedNoise = 0.3;
 /// Gradients stay where trilinear interpolation is at least this much more wrong, as RMS.
 constexpr double kGradientsPay = 1.2;
+/// The same with the noise of a rehearsal (1.14 to 2.8 there where they pay, else 1.00).
+constexpr double kRehearsedGradientsPay = 1.07;
 /// Of the first round, in shares of the target; in the coarsest cells.
 constexpr double kFirstThreshold = 2;
 /// Interpolation's least share of the target's square, whatever else there is.
 constexpr double kLeastAllowed = 0.05;
 constexpr double kNothing2 = 1e-12;
-/// What refinement thinks is wrong went as the 0.34th to 0.64th power of the threshold in the
-/// sample scenes. So many passes tell as much as knowing that.
-constexpr double kPower = 0.5, kPowerTrust = 3, kLeastPower = 0.1;
-/// More are not foreseen.
-constexpr double kMostPasses = 20;
+/// What refinement thinks is wrong goes as this power of 1 / samples: 0.77 to 0.9 in the sample
+/// scenes with gradients, 0.35 to 0.45 without. Never less than the least.
+constexpr double kFallWith = 0.83, kFallWithout = 0.4, kLeastFall = 0.3;
+/// So far, in ln(samples), a bake has to go to tell as much as knowing that; and in samples of the
+/// first round, to tell how many directions later ones have.
+constexpr double kFallTrust = 1, kDirectionsTrust = 0.3;
+/// Of the directions so far, what rounds take that are needed as a proof did not succeed, and how
+/// often that is: 7 to 68% in four of fourteen bakes.
+constexpr double kAgain = 0.4, kOften = 0.3;
 
 } // namespace
 
@@ -248,7 +254,8 @@ void AdaptiveBake::reconsiderGradients()
 {
     if (!mOptions.target.chooseGradients || mPlan.samples.gradients == GradientMethod::None) return;
     const double with = mRefiner->rmsSurplus(true), without = mRefiner->rmsSurplus(false);
-    const bool pay = without > kGradientsPay * with;
+    const double least = mRehearsalRays > 0 ? kRehearsedGradientsPay : kGradientsPay;
+    const bool pay = without > least * with;
     mReport.decisions.push_back(std::string("gradients ") + (pay ? "analytic" : "none")
         + ": with them the surplus is " + percentText(with) + " of the mean irradiance, without "
         + percentText(without));
@@ -307,29 +314,39 @@ double AdaptiveBake::truthOfThought2(double error) const
     return std::max(kNothing2, error * error - fixedError2()) / thoughtError2();
 }
 
-void AdaptiveBake::startRound(int round, double truth2)
-{
-    mRound = {mPass, mThreshold * (round == 1 ? kFirstFall : kLaterFall), thoughtError2(), truth2};
-}
-
-/// The pass whose volume is thought to be good enough: what refinement thinks is wrong falls as a
-/// power of the threshold.
-int AdaptiveBake::lastPass() const
-{
-    const double now2 = thoughtError2(), step = -std::log(kStep);
-    const int done = mPass - mRound.firstPass;
-    const double known = 0.5 * std::log(mRound.thought2 / now2) / step; // power times passes
-    const double power
-        = std::max(kLeastPower, (kPowerTrust * kPower + known) / (kPowerTrust + done));
-    const double ahead = 0.5 * std::log(mRound.truth2 * now2 / allowedError2()) / (power * step);
-    return mPass - 1
-        + static_cast<int>(std::clamp(std::ceil(ahead), done > 0 ? 0.0 : 1.0, kMostPasses));
-}
-
 /// Whether the round goes on: not further than it may, whatever is missing then.
 bool AdaptiveBake::goesOn() const
 {
-    return !mRefiner->isLimited() && mThreshold * kStep >= mRound.least && lastPass() >= mPass;
+    return !mRefiner->isLimited() && mThreshold * kStep >= mRound.least
+        && mRound.truth2 * thoughtError2() > allowedError2();
+}
+
+/// How far the threshold falls at most before the second measurement. Without gradients the error
+/// falls so slowly with the samples that going too far costs more than measuring once more.
+double AdaptiveBake::firstFall() const
+{
+    return mPlan.samples.gradients != GradientMethod::None ? 0.05 : 0.1;
+}
+
+/// Samples that are missing from @a now until the error is what it may be. What refinement thinks
+/// is wrong falls as a power of their number, far more evenly than with the threshold.
+SampleCount AdaptiveBake::ahead(const SampleCount& now, double thought2, double truth2) const
+{
+    const SampleCount& first = mForecast.round;
+    const double gone = std::log(now.samples / first.samples);
+    const double fallen = gone > 0 ? 0.5 * std::log(mFirstThought2 / thought2) : 0;
+    const bool gradients = mPlan.samples.gradients != GradientMethod::None;
+    const double power = gradients ? kFallWith : kFallWithout;
+    const double known = std::max(kLeastFall, (kFallTrust * power + fallen) / (kFallTrust + gone));
+    const double missing = 0.5 * std::log(truth2 * thought2 / allowedError2());
+    const double most = static_cast<double>(mOptions.target.maxSamples);
+    const double end = std::min(most, now.samples * std::exp(std::max(0.0, missing) / known));
+    const double trust = kDirectionsTrust * first.samples;
+    const double each = (trust * mForecast.further * first.directions / first.samples
+                            + now.directions - first.directions)
+        / (trust + now.samples - first.samples);
+    const double samples = std::max(0.0, end - now.samples);
+    return {samples, samples * each};
 }
 
 /// Refines with ever lower thresholds, until what refinement thinks is wrong has fallen as far as
@@ -340,12 +357,13 @@ void AdaptiveBake::approach(int round)
     Seconds time(mReport.secondsTrace);
     // A bound far above the error is bad luck with few points rather than work to be done.
     const AchievedError& a = mReport.achieved;
-    startRound(round, truthOfThought2(std::min(a.upper, kVerifiedError * a.relRmse)));
-    foresee();
+    mRound = {round, mThreshold * (round == 1 ? firstFall() : kLaterFall),
+        truthOfThought2(std::min(a.upper, (round == 1 ? kVerifiedError : kMostDoubt) * a.relRmse))};
+    foresee(false);
     do {
         mThreshold *= kStep;
         refine();
-        foresee();
+        foresee(!goesOn());
     } while (goesOn());
 }
 
@@ -426,6 +444,8 @@ void AdaptiveBake::refineFirst()
     if (mStore->size() == 0) refine();
     mPass = kFirstPasses;
     mProgress.enterPass(kFirstPasses - 1);
+    mFirstThought2 = thoughtError2();
+    if (!mForecast.first.empty()) mForecast.round = count();
 }
 
 void AdaptiveBake::refineOnce()
@@ -438,12 +458,52 @@ void AdaptiveBake::refineOnce()
 void AdaptiveBake::foresee(Forecast forecast)
 {
     mForecast = std::move(forecast);
-    mProgress.plan(mForecast.plan(mForecast.last));
+    const int pass = mForecast.ahead.samples > 0 ? Outlook::kLater : mForecast.pass;
+    plan(mForecast.round, mForecast.ahead, pass);
 }
 
-void AdaptiveBake::foresee()
+void AdaptiveBake::foresee(bool done)
 {
-    if (!mForecast.passes.empty()) mProgress.plan(mForecast.plan(lastPass()));
+    if (mForecast.first.empty()) return;
+    const SampleCount now = count();
+    SampleCount more;
+    if (!done) more = ahead(now, thoughtError2(), mRound.truth2);
+    // Something is done in each round.
+    if (!done && more.samples == 0) more = {kAgain * now.samples, kAgain * now.directions};
+    plan(now, more, done ? mPass - 1 : Outlook::kLater);
+}
+
+/// Tells the outlook what there is to do from @a now on: the samples @a ahead, and the proof of
+/// pass @a pass.
+void AdaptiveBake::plan(const SampleCount& now, const SampleCount& ahead, int pass)
+{
+    using Work = Outlook::Work;
+    const Forecast& f = mForecast;
+    std::vector<Outlook::Step> steps;
+    if (mPass == 0) {
+        steps = f.first;
+        steps.push_back({f.pass, f.places, Work::Cells, f.cells});
+        steps.push_back({f.pass, f.places + 1, Work::Points, f.look});
+    }
+    if (ahead.samples > 0) {
+        steps.push_back({pass, Outlook::kUnknown, Work::Samples, f.perDirection * ahead.directions,
+            ahead.directions});
+    }
+    if (mPass > 0 || ahead.samples > 0) {
+        const double grown = (now.samples + ahead.samples) / f.round.samples;
+        steps.push_back({pass, f.places, Work::Cells, f.cells * grown});
+    }
+    steps.push_back({pass, f.places + 2, Work::Points, f.proof});
+    if (mOptions.target.error > 0) {
+        // A proof may fail; where none can succeed, it is known how many there will be.
+        const int rounds = kHopelessRounds - 1 - std::max(1, mRound.number);
+        const double again = isHopeless() ? std::max(0, rounds) : kOften;
+        const double all = now.directions + ahead.directions;
+        steps.push_back({Outlook::kLater, f.places + 3, Work::Points, again * f.proof});
+        steps.push_back(
+            {Outlook::kLater, f.places + 4, Work::Samples, again * kAgain * f.perDirection * all});
+    }
+    mProgress.plan(std::move(steps));
 }
 
 void AdaptiveBake::refine()

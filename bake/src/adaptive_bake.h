@@ -45,10 +45,12 @@ private:
     static constexpr double kClearlyMissed = 1.25;
     /// What verification finds, with its confidence, over what refinement thinks: 1.02 to 1.33 in
     /// the sample scenes.
-    static constexpr double kVerifiedError = 1.12;
+    static constexpr double kVerifiedError = 1.2;
+    /// The same after the first proof, which tells more: the bound itself, but not more than this.
+    static constexpr double kMostDoubt = 1.25;
     /// By how much thresholds fall between looks at what refinement thinks is wrong, and how far at
-    /// most before the next measurement, of the first round and of later ones.
-    static constexpr double kStep = 0.75, kFirstFall = 0.1, kLaterFall = 0.4;
+    /// most before the next measurement, but for the second one.
+    static constexpr double kStep = 0.866, kLaterFall = 0.4;
     /// Passes of the first round: with gradients, and perhaps anew without.
     static constexpr int kFirstPasses = 2;
 
@@ -62,11 +64,16 @@ private:
     void refineOnce();
     void refineFirst();
     void approach(int round);
-    void foresee();
-    void startRound(int round, double truth2);
-    int lastPass() const;
+    void foresee(bool done);
     bool goesOn() const;
-    void remember(Forecast& forecast);
+    double firstFall() const;
+    SampleCount count() const
+    {
+        return {static_cast<double>(mStore->size()), mStore->directions()};
+    }
+    SampleCount ahead(const SampleCount& now, double thought2, double truth2) const;
+    void plan(const SampleCount& now, const SampleCount& ahead, int pass);
+    void remember();
     bool isLast(int round) const;
     /// Whether the bands alone leave out more than the target.
     bool isHopeless() const { return mPlan.truncation >= mOptions.target.error; }
@@ -100,12 +107,12 @@ private:
     double mThreshold = 0; // of mCells
     int mPass = 0; // of refinement, the next
     struct {
-        int firstPass = 0;
+        int number = 0;
         double least = 0; // threshold
-        double thought2 = 0, truth2 = 0; // when it began; see truthOfThought2()
+        double truth2 = 0; // when it began; see truthOfThought2()
     } mRound;
+    double mFirstThought2 = 0; // after the first round
     Forecast mForecast;
-    double mRehearsedSeconds = 0; // of tracing, in what was remembered
     std::uint64_t mDroppedRays = 0;
     int mLooks = 0; // of verifications so far
     std::size_t mVerifyPoints = kVerifyPoints;

@@ -16,7 +16,7 @@ namespace {
 
 constexpr double kTellSeconds = 0.2;
 /// The plan alone counts as much as steps done that are this share of it.
-constexpr double kPriorShare = 0.003;
+constexpr double kPriorShare = 0.03;
 
 double secondsSince(std::chrono::steady_clock::time_point start)
 {
@@ -44,7 +44,9 @@ Outlook::~Outlook()
 void Outlook::plan(std::vector<Step> steps)
 {
     const std::lock_guard<std::mutex> guard(mMutex);
+    endStep(); // which was planned before
     mPlan = std::move(steps);
+    mPlanStart = std::chrono::steady_clock::now();
     tell();
 }
 
@@ -75,7 +77,7 @@ void Outlook::endStep()
     // Samples of a journal take no time, and what was not planned any: they say nothing about what
     // is left of the plan.
     const double thought = planned(step);
-    if (!std::exchange(mKept, false) && thought > 0) {
+    if (!step.kept && thought > 0) {
         const auto w = static_cast<std::size_t>(step.work);
         mPlanned[w] += thought;
         mTaken[w] += step.seconds;
@@ -85,7 +87,9 @@ void Outlook::endStep()
 double Outlook::planned(const Step& step) const
 {
     const auto at = std::lower_bound(mPlan.begin(), mPlan.end(), step, isBefore);
-    return at == mPlan.end() || isBefore(step, *at) ? 0 : at->seconds;
+    if (at != mPlan.end() && !isBefore(step, *at)) return at->seconds;
+    const bool unknown = at != mPlan.end() && at->place == kUnknown;
+    return unknown ? step.directions / at->directions * at->seconds : 0;
 }
 
 double Outlook::factor(Work work) const
@@ -94,7 +98,7 @@ double Outlook::factor(Work work) const
     double all = 0;
     for (const Step& step : mPlan) all += step.work == work ? step.seconds : 0;
     double took = mTaken[w] + kPriorShare * all, thought = mPlanned[w] + kPriorShare * all;
-    if (mInStep && !mKept && mSteps.back().work == work) {
+    if (mInStep && !isUnplanned() && !mSteps.back().kept && mSteps.back().work == work) {
         thought += shareDone() * planned(mSteps.back());
         took += shareDone() > 0 ? secondsSince(mStepStart) : 0;
     }
@@ -111,17 +115,34 @@ double Outlook::secondsLeft() const
 {
     const bool beyond = mPlan.empty() || (!mSteps.empty() && isBefore(mPlan.back(), mSteps.back()));
     if (beyond) return std::numeric_limits<double>::infinity();
+    // Of the step itself: the further it is, the more its own pace counts.
+    double own = 0;
+    if (mInStep) {
+        const Step& now = mSteps.back();
+        const double share = shareDone();
+        const double whole
+            = (1 - share) * factor(now.work) * planned(now) + secondsSince(mStepStart);
+        own = (1 - share) * whole;
+    }
     double left = 0;
     for (const Step& step : mPlan) {
-        if (mSteps.empty() || isBefore(mSteps.back(), step))
-            left += factor(step.work) * step.seconds;
+        if (!mSteps.empty() && !isBefore(mSteps.back(), step)) continue;
+        double whole = factor(step.work) * step.seconds;
+        if (step.place == kUnknown && isUnplanned()) {
+            whole = std::max(own, whole - secondsSince(mPlanStart));
+            own = 0;
+        }
+        left += whole;
     }
-    if (!mInStep) return left;
-    // Of the step itself: the further it is, the more its own pace counts.
-    const Step& now = mSteps.back();
-    const double share = shareDone();
-    const double whole = (1 - share) * factor(now.work) * planned(now) + secondsSince(mStepStart);
-    return left + (1 - share) * whole;
+    return left + own;
+}
+
+/// Whether the step is of the unknown ones.
+bool Outlook::isUnplanned() const
+{
+    if (!mInStep) return false;
+    const auto at = std::lower_bound(mPlan.begin(), mPlan.end(), mSteps.back(), isBefore);
+    return at != mPlan.end() && at->place == kUnknown;
 }
 
 void Outlook::tell()
@@ -137,7 +158,7 @@ void Outlook::begin(const char* stage, std::uint64_t total)
     const std::lock_guard<std::mutex> guard(mMutex);
     mTotal = total;
     mDone = 0;
-    if (std::strcmp(stage, kJournalStage) == 0) mKept = true;
+    if (mInStep && std::strcmp(stage, kJournalStage) == 0) mSteps.back().kept = true;
     tell();
 }
 

@@ -14,6 +14,7 @@
 #include <array>
 #include <atomic>
 #include <chrono>
+#include <limits>
 #include <mutex>
 #include <vector>
 
@@ -24,11 +25,17 @@ class Outlook : public Progress {
 public:
     /// Kinds of work, whose forecasts are wrong by factors of their own.
     enum class Work { Samples, Cells, Points };
+    /// Of a plan's steps whose pass is not known yet: they come after all others.
+    static constexpr int kLater = std::numeric_limits<int>::max();
+    /// Place of samples whose steps are not known yet, in a plan once at most: samples of steps
+    /// that are not planned are thought to be of these, and to take as long each direction.
+    static constexpr int kUnknown = -1;
     struct Step {
         int pass, place; ///< in this order; the same in the rehearsal
         Work work;
         double seconds;
         double directions = 0; ///< of samples, as told
+        bool kept = false; ///< samples come from a journal, which takes no time
     };
     /// Hands on only cancelled() where not @a talks.
     explicit Outlook(Progress& to, bool talks = true);
@@ -36,7 +43,8 @@ public:
     Outlook(const Outlook&) = delete;
     Outlook& operator=(const Outlook&) = delete;
 
-    /// What the whole bake takes, in order, as far as is known now. The user is told what is left.
+    /// What the bake takes from now on, in order, as far as is known; ends the last step. The user
+    /// is told what is left.
     void plan(std::vector<Step> steps);
     /// The refinement of pass @a pass, 0, 1, …, begins.
     void enterPass(int pass) { mPass = pass; }
@@ -59,6 +67,7 @@ private:
     void tell();
     double factor(Work work) const;
     double planned(const Step& step) const;
+    bool isUnplanned() const;
     double shareDone() const; // of the stage
 
     Progress& mTo;
@@ -66,8 +75,8 @@ private:
     std::mutex mMutex; // of what advance() reads and tells; the bake's own thread writes
     std::vector<Step> mPlan, mSteps;
     int mPass = 0;
-    bool mInStep = false, mKept = false;
-    std::chrono::steady_clock::time_point mStepStart, mTold;
+    bool mInStep = false;
+    std::chrono::steady_clock::time_point mStepStart, mTold, mPlanStart;
     std::atomic<std::uint64_t> mDone{0}; // of the stage
     std::uint64_t mTotal = 0;
     std::array<double, 3> mPlanned{}, mTaken{}; // seconds of the steps done, by kind of work

@@ -21,8 +21,8 @@ constexpr double kStrata = 0.15;
 constexpr double kPathOverCache = 3.4;
 /// Seconds to find what a cell sees, before any are known.
 constexpr double kSecondsPerCell = 5e-5;
-/// Passes take longer as before, but not by less or more than this.
-constexpr double kLeastGrowth = 1, kMostGrowth = 1.5;
+/// Times the samples of the first round, after which is known how their number grows.
+constexpr double kEnough = 2;
 
 double secondsOfSamples(const std::vector<Outlook::Step>& steps)
 {
@@ -33,85 +33,54 @@ double secondsOfSamples(const std::vector<Outlook::Step>& steps)
 
 } // namespace
 
-Forecast::Pass Forecast::pass(std::size_t i) const
+/// What was rehearsed so far, as the first round.
+void AdaptiveBake::remember()
 {
-    const std::size_t n = passes.size();
-    if (i < n) return passes[i];
-    const Pass &newest = passes[n - 1], &before = passes[n > 1 ? n - 2 : 0];
-    const double seconds = secondsOfSamples(newest.steps);
-    const double growth = std::clamp(
-        seconds / std::max(1e-9, secondsOfSamples(before.steps)), kLeastGrowth, kMostGrowth);
-    const int more = static_cast<int>(i - n) + 1, number = newest.number + more;
-    return {number, newest.cells,
-        {{number, places - 1, Work::Samples, seconds * std::pow(growth, more)}}};
-}
-
-std::vector<Outlook::Step> Forecast::plan(int end) const
-{
-    std::vector<Outlook::Step> steps;
-    for (std::size_t i = 0;; ++i) {
-        const Pass p = pass(i);
-        const bool ends = p.number >= end;
-        steps.insert(steps.end(), p.steps.begin(), p.steps.end());
-        if (i == 0 || ends) steps.push_back({p.number, places, Work::Cells, p.cells});
-        if (i == 0) steps.push_back({p.number, places + 1, Work::Points, look});
-        if (!ends) continue;
-        steps.push_back({p.number, places + 2, Work::Points, proof});
-        return steps;
-    }
-}
-
-/// What was rehearsed since the last pass that @a forecast has.
-void AdaptiveBake::remember(Forecast& forecast)
-{
-    const int after = forecast.passes.empty() ? -1 : forecast.passes.back().number;
-    std::vector<Outlook::Step> steps;
-    for (const Outlook::Step& step : mProgress.steps()) {
-        if (step.pass > after) steps.push_back(step);
-    }
+    mForecast.first = mProgress.steps();
+    mForecast.pass = mPass - 1;
+    mForecast.places = mRefiner->steps();
+    mForecast.round = count();
     // What the bake traces takes longer, what it decides does not.
-    const double all = secondsOfSamples(steps), traced = mStore->seconds() - mRehearsedSeconds;
-    const double decided = all > 0 ? std::max(0.0, all - traced) / all : 0;
+    const double all = secondsOfSamples(mForecast.first);
+    const double decided = all > 0 ? std::max(0.0, all - mStore->seconds()) / all : 0;
     const double ratio = static_cast<double>(mRehearsalRays) / mStore->meanDirections();
-    const double perDirection
+    mForecast.perDirection
         = mPlan.secondsPerDirection * (mPlan.samples.stop.most > 0 ? std::pow(ratio, kStrata) : 1);
-    for (Outlook::Step& step : steps) {
-        step.seconds = decided * step.seconds + perDirection * step.directions;
+    for (Outlook::Step& step : mForecast.first) {
+        step.seconds = decided * step.seconds + mForecast.perDirection * step.directions;
     }
-    mRehearsedSeconds = mStore->seconds();
-    forecast.passes.push_back(
-        {mPass - 1, kSecondsPerCell * static_cast<double>(mCells.cells.size()), std::move(steps)});
+    mForecast.cells = kSecondsPerCell * static_cast<double>(mCells.cells.size());
 }
 
 Forecast AdaptiveBake::rehearse()
 {
-    Forecast forecast;
-    forecast.places = mRefiner->steps();
     if (mOptions.target.error == 0) {
         refineOnce();
-        remember(forecast);
-        return forecast;
+        remember();
+        return mForecast;
     }
     refineFirst();
-    remember(forecast);
+    remember();
     // Points are traced by `path`, which may be much slower than with the cache.
     const double perPoint = mPlan.secondsPerDirection * 2 * referenceRays()
         * (mPlan.samples.probe.cache ? kPathOverCache : 1);
-    forecast.look = perPoint * kFirstPoints;
-    forecast.proof = perPoint * kVerifyPoints;
-    // As the bake will, but for measuring: few directions leave so much noise in what refinement
-    // thinks is wrong that it is no guide to where the bake will end.
-    const double error = kVerifiedError * std::sqrt(fixedError2() + thoughtError2());
-    if (!isHopeless() && error < mOptions.target.error) return forecast;
-    startRound(1, truthOfThought2(error));
-    const int last = lastPass();
-    while (mPass <= last && !mRefiner->isLimited() && mThreshold * kStep >= mRound.least) {
+    mForecast.look = perPoint * kFirstPoints;
+    mForecast.proof = perPoint * kVerifyPoints;
+    // Noise hides some of what refinement would think is wrong, which is about the threshold.
+    const double first = mThreshold, thought2 = std::max(thoughtError2(), first * first);
+    const double truth2 = kVerifiedError * kVerifiedError;
+    const SampleCount round = mForecast.round;
+    while (mStore->size() < kEnough * round.samples && !mRefiner->isLimited()
+        && mThreshold > first * firstFall()) {
         mThreshold *= kStep;
         refine();
-        remember(forecast);
     }
-    forecast.last = mRefiner->isLimited() ? mPass - 1 : last;
-    return forecast;
+    const SampleCount more{count().samples - round.samples, count().directions - round.directions};
+    if (more.samples > 0) {
+        mForecast.further = more.directions / more.samples * round.samples / round.directions;
+    }
+    mForecast.ahead = ahead(round, thought2, truth2);
+    return mForecast;
 }
 
 Forecast rehearse(const Tracer& tracer, const BakeOptions& options, const BakePlan& plan,

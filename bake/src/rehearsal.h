@@ -11,25 +11,20 @@
 
 namespace lumivdb {
 
+/// Samples of a bake, and their directions.
+struct SampleCount {
+    double samples = 0, directions = 0;
+};
+
 /// What a rehearsal tells of a bake.
 struct Forecast {
-    /// Refinement down to one threshold.
-    struct Pass {
-        int number; ///< Outlook::Step::pass; of the first round's, the last
-        double cells; ///< seconds to find what the cells see
-        std::vector<Outlook::Step> steps;
-    };
-    std::vector<Pass> passes; ///< the first round in one; empty: nothing is known
-    int places = 0; ///< of a pass, Refiner::steps()
-    double look = 0, proof = 0; ///< seconds to look at the first round's volume, and to prove one
-    int last = 0; ///< the pass whose volume is thought to be proven
-
-    /// Steps up to pass @a end and the proof of its volume. Passes that were not rehearsed are
-    /// thought to take longer as the last ones did.
-    std::vector<Outlook::Step> plan(int end) const;
-
-private:
-    Pass pass(std::size_t i) const;
+    std::vector<Outlook::Step> first; ///< of the first round; empty: nothing is known
+    int pass = 0, places = 0; ///< the first round's last pass; places of one, Refiner::steps()
+    /// Seconds to find what the first round's cells see, to look at its volume, and to prove one.
+    double cells = 0, look = 0, proof = 0;
+    double perDirection = 0; ///< seconds
+    SampleCount round, ahead; ///< of the first round, and of those that are thought to follow
+    double further = 1; ///< directions of a later sample over those of one of the first round
 };
 
 /// Rehearses the bake while its user is told so by @a outlook.

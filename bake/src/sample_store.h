@@ -50,7 +50,9 @@ public:
     std::size_t size() const { return mInfo.size(); }
     std::uint64_t rays() const { return mRays; }
     double seconds() const { return mSeconds; } ///< that tracing took
-    /// Directions of a sample, rounded mean over all; in a rehearsal, of the bake's as foreseen.
+    /// Directions of all samples; in a rehearsal, of the bake's as foreseen.
+    double directions() const { return static_cast<double>(mDirections); }
+    /// Directions of a sample, rounded mean over all.
     int meanDirections() const;
     /// Mean standard error of E over all samples / mean E.
     double meanRelativeStderr() const;
