@@ -360,11 +360,12 @@ void AdaptiveBake::approach(int round)
     mRound = {round, mThreshold * (round == 1 ? firstFall() : kLaterFall),
         truthOfThought2(std::min(a.upper, (round == 1 ? kVerifiedError : kMostDoubt) * a.relRmse))};
     foresee(false);
-    do {
+    for (bool more = true; more;) {
         mThreshold *= kStep;
         refine();
-        foresee(!goesOn());
-    } while (goesOn());
+        more = goesOn();
+        foresee(!more);
+    }
 }
 
 void AdaptiveBake::summarise(int rounds)

@@ -21,7 +21,7 @@ constexpr double kStrata = 0.15;
 constexpr double kPathOverCache = 3.4;
 /// Seconds to find what a cell sees, before any are known.
 constexpr double kSecondsPerCell = 5e-5;
-/// Times the samples of the first round, after which is known how their number grows.
+/// Times the samples of the first round, after which is known how many directions later ones have.
 constexpr double kEnough = 2;
 
 double secondsOfSamples(const std::vector<Outlook::Step>& steps)
