@@ -171,7 +171,7 @@ TEST_CASE("options that make no sense are refused with their name and value", "[
         != std::string::npos);
 }
 
-TEST_CASE("the same bits for 1, 2 and 4 threads", "[bake][determinism]")
+TEST_CASE("the same bits for 1, 2 and 4 threads", "[bake][determinism][heavy]")
 {
     const auto tracer = makeTracer(litRoom());
     for (const int rays : {96, 5000}) { // above 4096 a probe is split between threads itself

@@ -59,7 +59,8 @@ Vec3d inward(const Coord& p, int last)
 
 } // namespace
 
-TEST_CASE("on a wall, an edge, a corner of a room: the light inside", "[bake][hard][surface]")
+TEST_CASE(
+    "on a wall, an edge, a corner of a room: the light inside", "[bake][hard][surface][heavy]")
 {
     for (const bool doubleSided : {false, true}) {
         // The room stands in bright surroundings: outside is another light altogether.
@@ -168,7 +169,7 @@ TEST_CASE("a sample on a slanted roof and in its acute corner", "[bake][hard][su
     CHECK(inside == 5 * (5 + 3 + 1));
 }
 
-TEST_CASE("moved by 1e6: the same light", "[bake][hard][far]")
+TEST_CASE("moved by 1e6: the same light", "[bake][hard][far][heavy]")
 {
     const BakeOptions near = bakeOptions(0.4, Vec3d(0.0), Vec3d(1.6), 1024);
     const auto nearTracer = makeTracer(litRoom());

@@ -60,7 +60,7 @@ TEST_CASE("constant environment: E = pi L and nothing above band 0", "[closed]")
     CHECK(std::isinf(r.distance));
 }
 
-TEST_CASE("closed furnace: L = Le / (1 - rho)", "[closed]")
+TEST_CASE("closed furnace: L = Le / (1 - rho)", "[closed][heavy]")
 {
     // Inside a closed room whose every surface emits Le and reflects rho, the radiance L solves
     // L = Le + rho L, the same everywhere and in every direction.

@@ -49,7 +49,7 @@ double largestOf(const json& values)
 
 } // namespace
 
-TEST_CASE("Cornell box against an independent tracer", "[assets][reference]")
+TEST_CASE("Cornell box against an independent tracer", "[assets][reference][heavy]")
 {
     const std::filesystem::path folder = std::filesystem::path(LUMIVDB_ASSETS) / "cornell-bitterli";
     if (!std::filesystem::exists(folder)) {

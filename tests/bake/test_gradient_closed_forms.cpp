@@ -158,7 +158,7 @@ TEST_CASE("gradient of an emitting quad: Lambert's formula differentiated", "[gr
     }
 }
 
-TEST_CASE("gradient under a constant sky beside a black quad", "[gradient]")
+TEST_CASE("gradient under a constant sky beside a black quad", "[gradient][heavy]")
 {
     // What the quad hides is missing from the constant sky: 4π L minus the polygon's integral.
     const Vec3d a(-1, 0.5, -1), u(0, 0, 2), v(2, 0, 0);

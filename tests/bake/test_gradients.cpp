@@ -65,7 +65,7 @@ bool sameBits(const std::vector<Color>& a, const std::vector<Color>& b)
 
 } // namespace
 
-TEST_CASE("gradients in a lit room agree with central differences", "[gradient]")
+TEST_CASE("gradients in a lit room agree with central differences", "[gradient][heavy]")
 {
     const auto tracer = makeTracer(litRoom());
     for (const Vec3d& p : {Vec3d(0.7, 0.6, 0.75), Vec3d(0.3, 1.1, 1.2), Vec3d(0.05, 0.5, 0.6),
@@ -75,7 +75,7 @@ TEST_CASE("gradients in a lit room agree with central differences", "[gradient]"
     }
 }
 
-TEST_CASE("gradients of direct and of indirect light add up", "[gradient]")
+TEST_CASE("gradients of direct and of indirect light add up", "[gradient][heavy]")
 {
     const auto tracer = makeTracer(litRoom());
     const Vec3d p(0.4, 0.5, 0.9);
@@ -98,7 +98,7 @@ TEST_CASE("gradients of direct and of indirect light add up", "[gradient]")
     checkAgainstCentral(*tracer, options, p, 0.06, 0.06);
 }
 
-TEST_CASE("gradients of the Cornell box agree with central differences", "[gradient]")
+TEST_CASE("gradients of the Cornell box agree with central differences", "[gradient][heavy]")
 {
     const std::string path = std::string(LUMIVDB_SAMPLES) + "/cornell_box.glb";
     auto scene = std::make_shared<Scene>(loadScene(path));

@@ -139,7 +139,7 @@ TEST_CASE("LPV against the plain scheme across leaves", "[lpv]")
     }
 }
 
-TEST_CASE("LPV: flux is conserved, and what clamping adds", "[lpv]")
+TEST_CASE("LPV: flux is conserved, and what clamping adds", "[lpv][heavy]")
 {
     SECTION("200 steps in an unbounded volume")
     {
@@ -290,7 +290,7 @@ TEST_CASE("LPV: the same bits for any number of threads", "[lpv]")
     CHECK(std::memcmp(values[0].data(), values[1].data(), values[0].size() * sizeof(Color)) == 0);
 }
 
-TEST_CASE("LPV: a light that moves leaves nothing behind and takes no memory", "[lpv]")
+TEST_CASE("LPV: a light that moves leaves nothing behind and takes no memory", "[lpv][heavy]")
 {
     const LatticeBox cells{{-3, 0, 0}, {29, 30, 31}};
     LightPropagationVolume lpv(plainOptions(LpvScheme::Clamped), cells);

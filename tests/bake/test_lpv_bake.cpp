@@ -91,7 +91,7 @@ TEST_CASE("a propagated volume has the lattice, channels and metadata of a bake"
     CHECK(worstOfSum(all.volume, a, b) < 1e-6);
 }
 
-TEST_CASE("propagated volumes are the same bits for any number of threads", "[lpvbake]")
+TEST_CASE("propagated volumes are the same bits for any number of threads", "[lpvbake][heavy]")
 {
     const auto tracer = makeTracer(litRoom());
     LpvBakeOptions options = lpvOptions(0.2);
@@ -111,7 +111,7 @@ TEST_CASE("propagated volumes are the same bits for any number of threads", "[lp
     }
 }
 
-TEST_CASE("far from surfaces nothing blocks", "[lpvbake]")
+TEST_CASE("far from surfaces nothing blocks", "[lpvbake][heavy]")
 {
     const auto tracer = makeTracer(litRoom());
     LpvBakeOptions options = lpvOptions(0.4);
@@ -155,7 +155,7 @@ TEST_CASE("light groups add up where nothing is clamped", "[lpvbake]")
     CHECK(worstOfSum(both, lamp, panel) < 1e-4);
 }
 
-TEST_CASE("cascades of a scene reach over it", "[lpvbake]")
+TEST_CASE("cascades of a scene reach over it", "[lpvbake][heavy]")
 {
     const auto tracer = makeTracer(litRoom());
     LpvBakeOptions options = lpvOptions(0);

@@ -145,7 +145,7 @@ TEST_CASE("LPV: net flux through a closed surface is the source's", "[lpv][heavy
     }
 }
 
-TEST_CASE("LPV: how far a point source is from flux/4πr²", "[lpv][accuracy]")
+TEST_CASE("LPV: how far a point source is from flux/4πr²", "[lpv][accuracy][heavy]")
 {
     // The scheme diffuses: what has been scattered comes from all sides and falls off like 1/r
     // once enough iterations have brought it there. Documented, not tuned: E facing the source is
@@ -163,7 +163,7 @@ TEST_CASE("LPV: how far a point source is from flux/4πr²", "[lpv][accuracy]")
     }
 }
 
-TEST_CASE("LPV: a wall of radiance 1", "[lpv][accuracy]")
+TEST_CASE("LPV: a wall of radiance 1", "[lpv][accuracy][heavy]")
 {
     // Before an infinite wall, E = π facing it and 0 facing away, at any distance. Light that moves
     // on is spread over all directions again, in both schemes: near the wall what faces it is a
@@ -305,7 +305,7 @@ TEST_CASE("LPV: the volume answers as the live light does", "[lpv]")
     compare();
 }
 
-TEST_CASE("LPV cascades: nested, continuous, and one volume", "[lpv]")
+TEST_CASE("LPV cascades: nested, continuous, and one volume", "[lpv][heavy]")
 {
     LpvOptions options = plainOptions(LpvScheme::Clamped, 0.25);
     LpvCascadeOptions nested;

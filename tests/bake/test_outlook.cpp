@@ -98,7 +98,7 @@ TEST_CASE("steps that no plan knows take off what is unknown", "[bake][outlook]"
     CHECK(outlook.secondsLeft() == Approx(later).margin(0.1));
 }
 
-TEST_CASE("a bake that tells how long it takes is the same bake", "[bake][outlook]")
+TEST_CASE("a bake that tells how long it takes is the same bake", "[bake][outlook][heavy]")
 {
     const auto tracer = makeTracer(litRoom());
     BakeOptions adaptive = bakeOptions(0.1, Vec3d(0.0), Vec3d(1.6), 256);

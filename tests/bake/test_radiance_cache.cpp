@@ -163,7 +163,8 @@ void compare(const Tracer& tracer, const Vec3d& p, const Vec3f& n, int maxBounce
 
 } // namespace
 
-TEST_CASE("A furnace's cache gives L/(1 - albedo), nearly white ones too", "[radiance_cache]")
+TEST_CASE(
+    "A furnace's cache gives L/(1 - albedo), nearly white ones too", "[radiance_cache][heavy]")
 {
     for (const float albedo : {0.5f, 0.99f}) {
         const auto tracer = makeTracer(furnace(albedo));
@@ -186,7 +187,7 @@ TEST_CASE(
     compare(*tracer, {0.4, 2.5, 3}, {1, 0, 0}, -1);
 }
 
-TEST_CASE("Shadows of lights without size are found in place", "[radiance_cache]")
+TEST_CASE("Shadows of lights without size are found in place", "[radiance_cache][heavy]")
 {
     const auto tracer = makeTracer(sunlit());
     compare(*tracer, {0.5, 0.8, 0.6}, {0, -1, 0}, -1);
@@ -299,7 +300,8 @@ TEST_CASE("Pieces that share a patch because they are too many keep their sides 
     CHECK(std::abs(mean - truth) < std::min(4 * noise, 0.02 * truth));
 }
 
-TEST_CASE("A solution has the same bits for any number of threads", "[radiance_cache][determinism]")
+TEST_CASE("A solution has the same bits for any number of threads",
+    "[radiance_cache][determinism][heavy]")
 {
     const auto tracer = makeTracer(room());
     const auto bits = [&](std::size_t threads) {

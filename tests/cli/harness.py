@@ -18,6 +18,9 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 SAMPLES = ROOT / "samples"
 PROGRAM = pathlib.Path(os.environ.get("LUMIVDB_PROGRAM", ROOT / "build" / "release" / "lumivdb"))
 
+# As [heavy] of the other tests: long bakes, of code that other tests run too.
+heavy = unittest.skipIf("LUMIVDB_SANITIZED" in os.environ, "heavy, and sanitizers slow it tenfold")
+
 
 def run(*args, stdin="", timeout=300, cwd=None):
     """Runs `lumivdb args…` -> (exit code, stdout, stderr). A crash shows as a negative code."""

@@ -10,7 +10,7 @@ import time
 import unittest
 
 import vdb_bytes as vb
-from harness import PROGRAM, SAMPLES, CliCase, run
+from harness import PROGRAM, SAMPLES, CliCase, heavy, run
 
 FURNACE = SAMPLES / "furnace.glb"
 ROOMS = SAMPLES / "two_rooms_door.glb"
@@ -218,6 +218,7 @@ class Signals(CliCase):
             process.send_signal(signal.SIGINT)
             self.assertEqual(process.wait(timeout=10), 130)
 
+    @heavy
     def test_bar_on_a_terminal(self):
         output = []
 
@@ -503,6 +504,7 @@ class Adaptive(CliCase):
         self.ok(*self.BAKE, *self.LEVELS, "-o", one, "--threads", "1")
         self.assertTrue(one.read_bytes() == self.volume.read_bytes())
 
+    @heavy
     def test_parts_joined_are_the_whole(self):
         parts = [self.folder / f"part{i}.vdb" for i in (1, 2, 3)]
         for i, part in enumerate(parts, 1):
@@ -522,6 +524,7 @@ class Adaptive(CliCase):
         self.assertIn("spacing 0.1:", self.json(
             "bake", FURNACE, "-o", self.folder / "x.vdb", "--rays", "2", "--quiet")["decisions"][0])
 
+    @heavy
     def test_heuristics_and_thresholds(self):
         def samples(*options):
             return self.bake(*self.LEVELS, *options)["samples"]
@@ -545,6 +548,7 @@ class Adaptive(CliCase):
         # Heuristics without --levels make an adaptive volume.
         self.assertRegex(" ".join(self.bake("--refine", "error")["decisions"]), r"levels [1-9]")
 
+    @heavy
     def test_analytic_gradients_serve_every_mode(self):
         volume = self.folder / "gradients.vdb"
         self.ok(*self.BAKE, *self.LEVELS, "--gradients", "analytic", "-o", volume)
@@ -578,6 +582,7 @@ class Adaptive(CliCase):
         # Without masks the samples on the wall mix into the cells on both sides.
         self.assertTrue(light["off"][1] < 0.5 * light["off"][0] or light["off"][2] > 0, light)
 
+    @heavy
     def test_resample_levels(self):
         target = self.folder / "levels.vdb"
         flat = self.folder / "flat.vdb"

@@ -6,7 +6,7 @@ import subprocess
 import unittest
 
 import vdb_bytes as vb
-from harness import PROGRAM, SAMPLES, CliCase
+from harness import PROGRAM, SAMPLES, CliCase, heavy
 
 ROOMS = SAMPLES / "two_rooms.glb"
 CORNELL = SAMPLES / "cornell_box.glb"
@@ -65,12 +65,14 @@ class Lpv(CliCase):
         self.assertIn("lumivdb lpv", stats["options"])
         self.assertIn("--spacing 0.5", stats["options"])
 
+    @heavy
     def test_options_reproduce_a_chosen_spacing(self):
         path = self.folder / "chosen.vdb"
         report = self.json("lpv", CORNELL, "-o", path, "--rsm", "16", "--quiet")
         self.assertIn("spacing", report["decisions"][0])
         self.assertIn("--spacing 0.02", self.json("stats", path)["options"])
 
+    @heavy
     def test_other_commands_take_it(self):
         rows = self.csv("query", self.volume, "--points", "-", "--sh", stdin="-2,1,0,0,1,0\n")
         self.assertGreater(float(rows[0]["Eg"]), 0)
@@ -112,6 +114,7 @@ class Lpv(CliCase):
         self.assertLess(with_wall, 0.02)
         self.assertGreater(without, 5 * with_wall)
 
+    @heavy
     def test_all_light_is_indirect_and_direct(self):
         """Direct light in two bands is what a bake of two bands has, to both traces' noise."""
         point = "-2,0.5,0.5,0,1,0\n"
@@ -133,6 +136,7 @@ class Lpv(CliCase):
         many = self.mean_irradiance(self.lpv("many.vdb", "--bounces", "many"), -3.5, -0.5)
         self.assertGreater(many, 1.2 * one)
 
+    @heavy
     def test_cascades(self):
         path = self.folder / "cascades.vdb"
         report = self.json("lpv", SAMPLES / "courtyard.glb", "--sun-direction", "1,2,0.5",

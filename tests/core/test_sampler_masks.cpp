@@ -242,7 +242,7 @@ TEST_CASE("tricubic: sums of cubics of one variable are exact, slopes have no st
     }
 }
 
-TEST_CASE("half precision: within 1e-3, whatever the size of the values", "[sampler][half]")
+TEST_CASE("half precision: within 1e-3, whatever the size of the values", "[sampler][half][heavy]")
 {
     const std::vector<BoxCell> cells = multiLevelCells();
     for (const float scale : {1.0f, 1e-30f, 1e9f, 1e30f}) {
