@@ -328,24 +328,30 @@ double AdaptiveBake::firstFall() const
     return mPlan.samples.gradients != GradientMethod::None ? 0.05 : 0.1;
 }
 
-/// Samples that are missing from @a now until the error is what it may be. What refinement thinks
-/// is wrong falls as a power of their number, far more evenly than with the threshold.
-SampleCount AdaptiveBake::ahead(const SampleCount& now, double thought2, double truth2) const
+/// Samples that are missing from @a samples on until the error is what it may be. What refinement
+/// thinks is wrong falls as a power of their number, far more evenly than with the threshold.
+double AdaptiveBake::missingSamples(double samples, double thought2, double truth2) const
 {
-    const SampleCount& first = mForecast.round;
-    const double gone = std::log(now.samples / first.samples);
+    const double gone = std::log(samples / mForecast.round.samples);
     const double fallen = gone > 0 ? 0.5 * std::log(mFirstThought2 / thought2) : 0;
     const bool gradients = mPlan.samples.gradients != GradientMethod::None;
     const double power = gradients ? kFallWith : kFallWithout;
     const double known = std::max(kLeastFall, (kFallTrust * power + fallen) / (kFallTrust + gone));
     const double missing = 0.5 * std::log(truth2 * thought2 / allowedError2());
     const double most = static_cast<double>(mOptions.target.maxSamples);
-    const double end = std::min(most, now.samples * std::exp(std::max(0.0, missing) / known));
+    const double end = std::min(most, samples * std::exp(std::max(0.0, missing) / known));
+    return std::max(0.0, end - samples);
+}
+
+/// The same with their directions.
+SampleCount AdaptiveBake::ahead(const SampleCount& now, double thought2, double truth2) const
+{
+    const SampleCount& first = mForecast.round;
     const double trust = kDirectionsTrust * first.samples;
     const double each = (trust * mForecast.further * first.directions / first.samples
                             + now.directions - first.directions)
         / (trust + now.samples - first.samples);
-    const double samples = std::max(0.0, end - now.samples);
+    const double samples = missingSamples(now.samples, thought2, truth2);
     return {samples, samples * each};
 }
 
@@ -361,7 +367,8 @@ void AdaptiveBake::approach(int round)
         truthOfThought2(std::min(a.upper, (round == 1 ? kVerifiedError : kMostDoubt) * a.relRmse))};
     foresee(false);
     for (bool more = true; more;) {
-        mThreshold *= kStep;
+        const double missing = missingSamples(count().samples, thoughtError2(), mRound.truth2);
+        mThreshold = mRefiner->lowerThreshold(mCells, missing, mThreshold * kStep);
         refine();
         more = goesOn();
         foresee(!more);
@@ -446,7 +453,7 @@ void AdaptiveBake::refineFirst()
     mPass = kFirstPasses;
     mProgress.enterPass(kFirstPasses - 1);
     mFirstThought2 = thoughtError2();
-    if (!mForecast.first.empty()) mForecast.round = count();
+    mForecast.round = count();
 }
 
 void AdaptiveBake::refineOnce()

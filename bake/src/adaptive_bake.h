@@ -71,6 +71,7 @@ private:
     {
         return {static_cast<double>(mStore->size()), mStore->directions()};
     }
+    double missingSamples(double samples, double thought2, double truth2) const;
     SampleCount ahead(const SampleCount& now, double thought2, double truth2) const;
     void plan(const SampleCount& now, const SampleCount& ahead, int pass);
     void remember();

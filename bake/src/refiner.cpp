@@ -8,6 +8,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <limits>
 
 namespace lumivdb {
@@ -19,6 +20,8 @@ constexpr double kGeometryMargin = 2e-3;
 /// What neighbours' samples show on a cell's faces is repaired there by them; a cell follows its
 /// neighbours only where it is this much more wrong than a cell may be.
 constexpr double kFollow = 2.0;
+/// Share of cells that a lower threshold splits at least, and how far it falls at least.
+constexpr double kLeastSplit = 0.005, kLeastFall = 0.99;
 /// Cells of this many of the coarsest levels are tested on their faces too: the coarser the cell,
 /// the more it can hide.
 constexpr int kWellTestedLevels = 2;
@@ -499,6 +502,24 @@ RefinedCells Refiner::result(Outlook& outlook)
         r.contribution.push_back(error2 * share(cell));
     }
     return r;
+}
+
+double Refiner::lowerThreshold(const RefinedCells& now, double samples, double least) const
+{
+    std::vector<double> errors; // of what would be split at the least
+    for (const CellKey& cell : now.cells) {
+        const auto found = mMeasured.find(cell);
+        if (found == mMeasured.end()) continue;
+        const double error = weighted(cell, found->second.error2);
+        if (error > least) errors.push_back(error);
+    }
+    const double cells = static_cast<double>(now.cells.size());
+    const double each = 7 * static_cast<double>(mStore.size()) / cells; // a cell becomes eight
+    const auto most = static_cast<std::size_t>(std::max(samples / each, kLeastSplit * cells));
+    if (errors.size() <= most) return least;
+    std::nth_element(errors.begin(), errors.begin() + static_cast<std::ptrdiff_t>(most),
+        errors.end(), std::greater<>());
+    return std::clamp(errors[most], least, kLeastFall * mThreshold);
 }
 
 RefinedCells Refiner::run(double threshold, Outlook& outlook)

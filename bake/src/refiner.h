@@ -45,6 +45,9 @@ public:
     /// sees to it that the corners of all cells are in the store. May be called again with a lower
     /// one: nothing is traced or measured twice. Its steps in @a outlook are below steps().
     RefinedCells run(double threshold, Outlook& outlook);
+    /// The highest threshold that brings about @a samples more than @a now, the last run()'s cells,
+    /// but not below @a least. What the children of split cells want is not foreseen.
+    double lowerThreshold(const RefinedCells& now, double samples, double least) const;
     int steps() const { return 3 * mTree.levels() + 1; }
 
 private:

@@ -4,6 +4,8 @@
 
 #include "bake_makers.h"
 
+#include "../../bake/src/refiner.h"
+
 #include <lumivdb/bake/geometry_cells.h>
 
 #include <catch2/catch.hpp>
@@ -212,6 +214,45 @@ TEST_CASE("an error target holds at points of other seeds", "[refine][target][he
         e.seed = 99;
         CHECK(evaluateVolume(r.volume, *tracer, e).relRmseDebiased <= target);
     }
+}
+
+TEST_CASE("a threshold lowered for a few samples brings about a few", "[refine][target]")
+{
+    Scene scene = openSky(1);
+    const int white = addMaterial(scene, Color(0.5f), Color(0.0f), true);
+    addQuad(scene, white, {0.3, 1.1, 0.2}, {1.7, 0, 0}, {0, 0.4, 1.1});
+    const auto tracer = makeTracer(std::move(scene));
+    SampleSettings samples;
+    samples.probe.rays = 256;
+    samples.spacing = 0.125;
+    samples.levels = 4;
+    RefineOptions options;
+    options.geometryLevel = 4; // by the error alone
+    Progress quiet;
+    Outlook outlook(quiet, false);
+    const auto grown = [&](double wanted, double least, double& threshold) {
+        SampleStore store(*tracer, samples);
+        Refiner refiner(
+            *tracer, store, options, {Coord(0, 0, 0), Coord(32, 32, 32)}, 4, Vec3d(kPi));
+        const RefinedCells cells = refiner.run(0.01, outlook);
+        const double before = static_cast<double>(store.size());
+        threshold = refiner.lowerThreshold(cells, wanted, least);
+        refiner.run(threshold, outlook);
+        return static_cast<double>(store.size()) - before;
+    };
+    const double least = 0.003;
+    double all = 0, few = 0, more = 0;
+    const double most = grown(1e9, least, all);
+    CHECK(all == least);
+    REQUIRE(most > 300);
+    const double little = grown(most / 10, least, few), half = grown(most / 2, least, more);
+    CAPTURE(most, little, half, few, more);
+    CHECK(few > more);
+    CHECK(more > least);
+    CHECK(few < 0.01);
+    CHECK(little > 0);
+    CHECK(little < most / 3);
+    CHECK(half < most);
 }
 
 TEST_CASE("a target out of reach is said to be, and the volume is there", "[refine][target]")
