@@ -2,9 +2,14 @@
 #include "sample_journal.h"
 
 #include <lumivdb/bake/bake.h>
+#include <lumivdb/core/random.h>
 
 #include <cstdio>
+#include <cstring>
 #include <type_traits>
+#ifdef __x86_64__
+#include <xmmintrin.h>
+#endif
 
 namespace lumivdb {
 
@@ -106,6 +111,27 @@ const char* nameOf(GradientMethod method)
 
 } // namespace
 
+std::string processorKind()
+{
+    std::uint64_t hash = 0;
+#ifdef __x86_64__
+    constexpr int kValues = 4096; // processors' tables have fewer entries
+    for (int i = 0; i < kValues; ++i) {
+        const __m128 x = _mm_set_ss(1 + static_cast<float>(i) / kValues);
+        for (const __m128 y : {_mm_rcp_ss(x), _mm_rsqrt_ss(x)}) {
+            const float value = _mm_cvtss_f32(y);
+            std::uint32_t bits;
+            static_assert(sizeof bits == sizeof value);
+            std::memcpy(&bits, &value, sizeof bits);
+            hash = hashCombine(hash, bits);
+        }
+    }
+#endif
+    char digits[17];
+    std::snprintf(digits, sizeof digits, "%016llx", static_cast<unsigned long long>(hash));
+    return digits;
+}
+
 std::string journalHeader(const BakeOptions& options, const Scene& scene)
 {
     const auto& [probe, integrator, bands, gradients, spacing, levels, refine, target, bounds,
@@ -117,6 +143,7 @@ std::string journalHeader(const BakeOptions& options, const Scene& scene)
     lines.add("journal-format", 1);
     lines.add("lumivdb", LUMIVDB_VERSION);
     lines.add("sample-revision", kSampleRevision);
+    lines.add("kind-of-processor", processorKind());
     lines.add("scene", scene.contentHash);
     addProbe(lines, probe);
     lines.add("integrator", name(integrator));

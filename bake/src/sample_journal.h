@@ -124,6 +124,10 @@ std::shared_ptr<SampleJournal> openJournal(
 /// bake goes on with samples of another. test_bake "[revision]" fails where that was forgotten.
 constexpr int kSampleRevision = 3;
 
+/// Of this machine's processor, as far as it decides the bits of samples: a hash of its approximate
+/// reciprocals and inverse roots, which Embree's hits begin with and which makers are free in.
+std::string processorKind();
+
 /// Lines "name value": all that changes what the bake makes, but for how a file is written.
 std::string journalHeader(const BakeOptions& options, const Scene& scene);
 
