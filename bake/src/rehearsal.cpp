@@ -19,6 +19,8 @@ constexpr int kFewestRays = 4, kRays = 16, kMostRays = 64;
 /// power of their ratio (0.1 to 0.2 in the sample scenes).
 constexpr double kStrata = 0.15;
 constexpr double kPathOverCache = 3.4;
+/// Time of directions with analytic gradients over that without: they are 14 to 33% of a bake.
+constexpr double kWithGradients = 1.3;
 /// Seconds to find what a cell sees, before any are known.
 constexpr double kSecondsPerCell = 5e-5;
 /// Times the samples of the first round, after which is known how many directions later ones have.
@@ -46,6 +48,8 @@ void AdaptiveBake::remember()
     const double ratio = static_cast<double>(mRehearsalRays) / mStore->meanDirections();
     mForecast.perDirection
         = mPlan.secondsPerDirection * (mPlan.samples.stop.most > 0 ? std::pow(ratio, kStrata) : 1);
+    if (mPlan.samples.gradients == GradientMethod::Analytic)
+        mForecast.perDirection *= kWithGradients;
     for (Outlook::Step& step : mForecast.first) {
         step.seconds = decided * step.seconds + mForecast.perDirection * step.directions;
     }
