@@ -5,10 +5,9 @@
 #include <lumivdb/core/random.h>
 
 #include <cstdio>
-#include <cstring>
 #include <type_traits>
 #ifdef __x86_64__
-#include <xmmintrin.h>
+#include <emmintrin.h>
 #endif
 
 namespace lumivdb {
@@ -119,11 +118,8 @@ std::string processorKind()
     for (int i = 0; i < kValues; ++i) {
         const __m128 x = _mm_set_ss(1 + static_cast<float>(i) / kValues);
         for (const __m128 y : {_mm_rcp_ss(x), _mm_rsqrt_ss(x)}) {
-            const float value = _mm_cvtss_f32(y);
-            std::uint32_t bits;
-            static_assert(sizeof bits == sizeof value);
-            std::memcpy(&bits, &value, sizeof bits);
-            hash = hashCombine(hash, bits);
+            const int bits = _mm_cvtsi128_si32(_mm_castps_si128(y));
+            hash = hashCombine(hash, static_cast<std::uint32_t>(bits));
         }
     }
 #endif
