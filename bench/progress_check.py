@@ -72,6 +72,8 @@ def ratios(seen, end):
 
 def main():
     words = sys.argv[1:]
+    if not words or words[0].startswith("-"):
+        sys.exit(__doc__)
     times = int(words[words.index("-n") + 1]) if "-n" in words else 1
     groups, own = [], False
     for word in words[1:]:

@@ -38,9 +38,9 @@ constexpr double kNothing2 = 1e-12;
 /// What refinement thinks is wrong goes as this power of 1 / samples: 0.77 to 0.9 in the sample
 /// scenes with gradients, 0.35 to 0.45 without. Never less than the least.
 constexpr double kFallWith = 0.83, kFallWithout = 0.4, kLeastFall = 0.3;
-/// So far, in ln(samples), a bake has to go to tell as much as knowing that; and in samples of the
-/// first round, to tell how many directions later ones have.
-constexpr double kFallTrust = 1, kDirectionsTrust = 0.3;
+/// So far, in ln(samples), a bake has to go to tell as much as knowing that, and as what its
+/// rehearsal tells of directions.
+constexpr double kFallTrust = 1, kGrowthTrust = 1;
 /// Of the directions so far, what rounds take that are needed as a proof did not succeed, and how
 /// often that is: 7 to 68% in four of fourteen bakes.
 constexpr double kAgain = 0.4, kOften = 0.3;
@@ -266,7 +266,7 @@ void AdaptiveBake::reconsiderGradients()
 }
 
 /// Mean squared standard error of the corners of all cells, which count by their volume.
-double AdaptiveBake::noise2() const
+double AdaptiveBake::measureNoise2() const
 {
     Vec3d sum(0.0);
     for (const CellKey& cell : mCells.cells) {
@@ -289,7 +289,7 @@ double AdaptiveBake::noise2() const
 double AdaptiveBake::fixedError2() const
 {
     const double bias = mPlan.samples.probe.cache ? mReport.bias.rms : 0;
-    return std::pow(mPlan.truncation, 2) + kInterpolatedNoise * noise2() + bias * bias;
+    return std::pow(mPlan.truncation, 2) + kInterpolatedNoise * mNoise2 + bias * bias;
 }
 
 /// What refinement itself thinks interpolation leaves out, squared.
@@ -343,16 +343,16 @@ double AdaptiveBake::missingSamples(double samples, double thought2, double trut
     return std::max(0.0, end - samples);
 }
 
-/// The same with their directions.
+/// The same with their directions, which go as a power of the samples: later ones stand for less
+/// space and have fewer.
 SampleCount AdaptiveBake::ahead(const SampleCount& now, double thought2, double truth2) const
 {
     const SampleCount& first = mForecast.round;
-    const double trust = kDirectionsTrust * first.samples;
-    const double each = (trust * mForecast.further * first.directions / first.samples
-                            + now.directions - first.directions)
-        / (trust + now.samples - first.samples);
     const double samples = missingSamples(now.samples, thought2, truth2);
-    return {samples, samples * each};
+    const double power
+        = (mForecast.growth * kGrowthTrust + std::log(now.directions / first.directions))
+        / (kGrowthTrust + std::log(now.samples / first.samples));
+    return {samples, now.directions * (std::pow(1 + samples / now.samples, power) - 1)};
 }
 
 /// Refines with ever lower thresholds, until what refinement thinks is wrong has fallen as far as
@@ -421,6 +421,7 @@ void AdaptiveBake::spendWhatIsLeft()
         mThreshold *= 1.3;
         mCells = mRefiner->run(mThreshold, mProgress);
     }
+    mNoise2 = measureNoise2();
 }
 
 IrradianceVolume AdaptiveBake::runToTarget()
@@ -487,6 +488,17 @@ void AdaptiveBake::plan(const SampleCount& now, const SampleCount& ahead, int pa
 {
     using Work = Outlook::Work;
     const Forecast& f = mForecast;
+    const auto seconds = [&](const SampleCount& of) {
+        return f.perSample * of.samples + f.perDirection * of.directions;
+    };
+    // Those so far tell how long the others will take.
+    double took = 0, directions = 0;
+    for (const Outlook::Step& step : mProgress.steps()) {
+        if (step.work != Work::Samples || step.kept) continue;
+        took += step.seconds;
+        directions += step.directions;
+    }
+    const double pace = directions > 0 ? took * now.directions / (directions * seconds(now)) : 1;
     std::vector<Outlook::Step> steps;
     if (mPass == 0) {
         steps = f.first;
@@ -494,8 +506,8 @@ void AdaptiveBake::plan(const SampleCount& now, const SampleCount& ahead, int pa
         steps.push_back({f.pass, f.places + 1, Work::Points, f.look});
     }
     if (ahead.samples > 0) {
-        steps.push_back({pass, Outlook::kUnknown, Work::Samples, f.perDirection * ahead.directions,
-            ahead.directions});
+        steps.push_back({pass, Outlook::kUnknown, Work::Samples, pace * seconds(ahead),
+            ahead.samples, ahead.directions});
     }
     if (mPass > 0 || ahead.samples > 0) {
         const double grown = (now.samples + ahead.samples) / f.round.samples;
@@ -506,10 +518,9 @@ void AdaptiveBake::plan(const SampleCount& now, const SampleCount& ahead, int pa
         // A proof may fail; where none can succeed, it is known how many there will be.
         const int rounds = kHopelessRounds - 1 - std::max(1, mRound.number);
         const double again = isHopeless() ? std::max(0, rounds) : kOften;
-        const double all = now.directions + ahead.directions;
+        const double all = pace * (seconds(now) + seconds(ahead));
         steps.push_back({Outlook::kLater, f.places + 3, Work::Points, again * f.proof});
-        steps.push_back(
-            {Outlook::kLater, f.places + 4, Work::Samples, again * kAgain * f.perDirection * all});
+        steps.push_back({Outlook::kLater, f.places + 4, Work::Samples, again * kAgain * all});
     }
     mProgress.plan(std::move(steps));
 }
@@ -518,6 +529,7 @@ void AdaptiveBake::refine()
 {
     mProgress.enterPass(mPass++);
     mCells = mRefiner->run(mThreshold, mProgress);
+    mNoise2 = measureNoise2();
 }
 
 bool AdaptiveBake::isLast(int round) const

@@ -74,6 +74,7 @@ private:
     double missingSamples(double samples, double thought2, double truth2) const;
     SampleCount ahead(const SampleCount& now, double thought2, double truth2) const;
     void plan(const SampleCount& now, const SampleCount& ahead, int pass);
+    SampleCount foreseen(SampleCount rehearsed) const;
     void remember();
     bool isLast(int round) const;
     /// Whether the bands alone leave out more than the target.
@@ -82,7 +83,7 @@ private:
     void spendWhatIsLeft();
     bool looksWrong(Verification& verification);
     void verify(const IrradianceVolume& volume, int round, bool last);
-    double noise2() const;
+    double measureNoise2() const;
     int referenceRays() const;
     double fixedError2() const;
     double thoughtError2() const;
@@ -106,6 +107,7 @@ private:
     std::vector<CellKey> mOwnRoots; // sorted; empty: all
     RefinedCells mCells;
     double mThreshold = 0; // of mCells
+    double mNoise2 = 0; // of mCells, see measureNoise2()
     int mPass = 0; // of refinement, the next
     struct {
         int number = 0;

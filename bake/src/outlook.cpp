@@ -46,6 +46,8 @@ void Outlook::plan(std::vector<Step> steps)
     const std::lock_guard<std::mutex> guard(mMutex);
     endStep(); // which was planned before
     mPlan = std::move(steps);
+    const auto samples = static_cast<std::size_t>(Work::Samples);
+    mPlanned[samples] = mTaken[samples] = 0;
     mPlanStart = std::chrono::steady_clock::now();
     tell();
 }

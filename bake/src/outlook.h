@@ -34,7 +34,7 @@ public:
         int pass, place; ///< in this order; the same in the rehearsal
         Work work;
         double seconds;
-        double directions = 0; ///< of samples, as told
+        double samples = 0, directions = 0; ///< as told
         bool kept = false; ///< samples come from a journal, which takes no time
     };
     /// Hands on only cancelled() where not @a talks.
@@ -44,14 +44,18 @@ public:
     Outlook& operator=(const Outlook&) = delete;
 
     /// What the bake takes from now on, in order, as far as is known; ends the last step. The user
-    /// is told what is left.
+    /// is told what is left. Its seconds of samples know what those so far took.
     void plan(std::vector<Step> steps);
     /// The refinement of pass @a pass, 0, 1, …, begins.
     void enterPass(int pass) { mPass = pass; }
     /// A step begins: place @a place of the pass, ascending.
     void enter(int place, Work work);
-    /// Samples of the step have so many more directions.
-    void addDirections(double directions) { mSteps.back().directions += directions; }
+    /// The step has one more sample, of so many directions.
+    void addSample(double directions)
+    {
+        mSteps.back().samples += 1;
+        mSteps.back().directions += directions;
+    }
     /// Ends the last step. @return all so far.
     const std::vector<Step>& steps();
 

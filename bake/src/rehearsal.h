@@ -22,9 +22,9 @@ struct Forecast {
     int pass = 0, places = 0; ///< the first round's last pass; places of one, Refiner::steps()
     /// Seconds to find what the first round's cells see, to look at its volume, and to prove one.
     double cells = 0, look = 0, proof = 0;
-    double perDirection = 0; ///< seconds
+    double perSample = 0, perDirection = 0; ///< seconds; of a sample besides its directions
     SampleCount round, ahead; ///< of the first round, and of those that are thought to follow
-    double further = 1; ///< directions of a later sample over those of one of the first round
+    double growth = 0.65; ///< directions go as this power of the samples, 0.42 to 0.78 seen
 };
 
 /// Rehearses the bake while its user is told so by @a outlook.

@@ -70,7 +70,7 @@ void SampleStore::trace(const std::vector<Coord>& points, Outlook& outlook)
         mIndex.emplace(points[i], first + i);
         mRays += rays[i];
         mDirections += directions[i];
-        outlook.addDirections(static_cast<double>(directions[i]));
+        outlook.addSample(static_cast<double>(directions[i]));
     }
 }
 

@@ -47,7 +47,8 @@ class Case(CliCase):
 
 
 class Killed(Case):
-    """kill -9 at random moments, on changing numbers of threads; some resumed runs are killed too."""
+    """kill -9 at random moments, the first of them soon after the journal's first samples; on
+    changing numbers of threads; some resumed runs are killed too."""
 
     def report(self, code, *args):
         got, out, err = run(*args, "--quiet", "--json", "-")
@@ -63,9 +64,12 @@ class Killed(Case):
         self.assertFalse(self.journal_of(out).exists(), "a journal was left")
         return out.read_bytes(), report, seconds
 
-    def kill_at(self, command, out, seconds, code):
-        """-> whether it was killed before it had ended"""
+    def kill_at(self, command, out, seconds, code, after_samples=False):
+        """Kills it that many seconds after its start, or after the journal's first samples.
+        -> whether it was killed before it had ended"""
         with start(*command, "-o", out, "--quiet") as process:
+            if after_samples:
+                self.await_journal(out, 2000)
             try:
                 process.wait(seconds)
             except subprocess.TimeoutExpired:
@@ -82,8 +86,9 @@ class Killed(Case):
             out = self.folder / f"{name}_{number}.vdb"
             threads = lambda: ("--threads", rng.choice((1, 2, 3)))
             with self.subTest(kill=number):
-                landed += self.kill_at((*command, *threads()), out,
-                                       rng.random() * 1.1 * seconds, code)
+                moment = 0.1 if number == 0 else rng.random() * 1.1 * seconds
+                landed += self.kill_at((*command, *threads()), out, moment, code,
+                                       after_samples=number == 0)
                 if number % 3 == 2:
                     self.kill_at((*command, "--resume", *threads()), out,
                                  rng.random() * seconds, code)
