@@ -41,9 +41,9 @@ constexpr double kFallWith = 0.83, kFallWithout = 0.4, kLeastFall = 0.3;
 /// So far, in ln(samples), a bake has to go to tell as much as knowing that, and as what its
 /// rehearsal tells of directions.
 constexpr double kFallTrust = 1, kGrowthTrust = 1;
-/// Of the directions so far, what rounds take that are needed as a proof did not succeed, and how
-/// often that is: 7 to 68% in four of fourteen bakes.
-constexpr double kAgain = 0.4, kOften = 0.3;
+/// Of the samples' time so far, what rounds take that are needed as a proof did not succeed, 7 to
+/// 68%, and how often that is: in two of 26 bakes.
+constexpr double kAgain = 0.4, kOften = 0.1;
 
 } // namespace
 
@@ -364,7 +364,7 @@ void AdaptiveBake::approach(int round)
     // A bound far above the error is bad luck with few points rather than work to be done.
     const AchievedError& a = mReport.achieved;
     mRound = {round, mThreshold * (round == 1 ? firstFall() : kLaterFall),
-        truthOfThought2(std::min(a.upper, (round == 1 ? kVerifiedError : kMostDoubt) * a.relRmse))};
+        truthOfThought2(std::min(a.upper, kVerifiedError * a.relRmse))};
     foresee(false);
     for (bool more = true; more;) {
         const double missing = missingSamples(count().samples, thoughtError2(), mRound.truth2);

@@ -44,10 +44,8 @@ private:
     static constexpr std::size_t kFirstPoints = 1024;
     static constexpr double kClearlyMissed = 1.25;
     /// What verification finds, with its confidence, over what refinement thinks: 1.02 to 1.33 in
-    /// the sample scenes; rather more than less of it, so that few proofs fail.
-    static constexpr double kVerifiedError = 1.2;
-    /// The same after the first proof, which tells more: the bound itself, but not more than this.
-    static constexpr double kMostDoubt = 1.25;
+    /// the sample scenes. Rather more of it, so that few proofs fail: samples are cheaper.
+    static constexpr double kVerifiedError = 1.25;
     /// By how much thresholds fall between looks at what refinement thinks is wrong, and how far at
     /// most before the next measurement, but for the second one.
     static constexpr double kStep = 0.866, kLaterFall = 0.4;

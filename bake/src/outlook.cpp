@@ -15,8 +15,9 @@ namespace lumivdb {
 namespace {
 
 constexpr double kTellSeconds = 0.2;
-/// The plan alone counts as much as steps done that are this share of it.
-constexpr double kPriorShare = 0.03;
+/// The plan alone counts as much as steps done that are this share of it: single steps are wrong by
+/// up to a half.
+constexpr double kPriorShare = 0.1;
 
 double secondsSince(std::chrono::steady_clock::time_point start)
 {
