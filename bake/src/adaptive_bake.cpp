@@ -35,8 +35,8 @@ constexpr double kFirstThreshold = 2;
 /// Interpolation's least share of the target's square, whatever else there is.
 constexpr double kLeastAllowed = 0.05;
 constexpr double kNothing2 = 1e-12;
-/// What refinement thinks is wrong goes as this power of 1 / samples: 0.77 to 0.9 in the sample
-/// scenes with gradients, 0.35 to 0.45 without. Never less than the least.
+/// What refinement thinks is wrong goes as this power of 1 / samples: 0.76 to 0.92 in the sample
+/// scenes with gradients, 0.35 to 0.55 without. Never less than the least.
 constexpr double kFallWith = 0.83, kFallWithout = 0.4, kLeastFall = 0.3;
 /// So far, in ln(samples), a bake has to go to tell as much as knowing that, and as what its
 /// rehearsal tells of directions.

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "sample_store.h"
 
-#include "seconds.h"
-
 #include <lumivdb/core/random.h>
 #include <lumivdb/core/volume.h>
 
@@ -49,7 +47,6 @@ void SampleStore::require(std::vector<Coord> points, Outlook& outlook)
 
 void SampleStore::trace(const std::vector<Coord>& points, Outlook& outlook)
 {
-    Seconds time(mSeconds);
     const std::size_t first = mInfo.size();
     mInfo.resize(first + points.size());
     mRecords.resize((first + points.size()) * mStride);

@@ -49,7 +49,6 @@ public:
     const SampleSettings& settings() const { return mBaker.settings(); }
     std::size_t size() const { return mInfo.size(); }
     std::uint64_t rays() const { return mRays; }
-    double seconds() const { return mSeconds; } ///< that tracing took
     /// Directions of all samples; in a rehearsal, of the bake's as foreseen.
     double directions() const { return static_cast<double>(mDirections); }
     /// Directions of a sample, rounded mean over all.
@@ -67,7 +66,6 @@ private:
     std::vector<Color> mRecords;
     std::vector<Info> mInfo;
     std::uint64_t mRays = 0, mDirections = 0;
-    double mSeconds = 0;
 };
 
 } // namespace lumivdb
