@@ -21,8 +21,9 @@ constexpr int kPartHalo = 5;
 constexpr int kMaxRounds = 24;
 /// Where the bands alone leave out more than the target.
 constexpr int kHopelessRounds = 3;
-/// The reference's own noise in targets; it takes no part in the bound but as spread.
-constexpr double kReferenceShare = 0.6;
+/// The reference's own noise over the error to be found; it takes no part in the bound but as
+/// spread.
+constexpr double kReferenceShare = 1;
 constexpr double kMaxReferenceRays = 4096;
 /// Mean of Σ w² of trilinear weights over a cell: how much of its corners' noise it keeps.
 constexpr double kInterpolatedNoise = 0.3;
@@ -37,13 +38,12 @@ constexpr double kLeastAllowed = 0.05;
 constexpr double kNothing2 = 1e-12;
 /// What refinement thinks is wrong goes as this power of 1 / samples: 0.76 to 0.92 in the sample
 /// scenes with gradients, 0.35 to 0.55 without. Never less than the least.
-constexpr double kFallWith = 0.83, kFallWithout = 0.4, kLeastFall = 0.3;
+constexpr double kFallWith = 0.8, kFallWithout = 0.4, kLeastFall = 0.3;
 /// So far, in ln(samples), a bake has to go to tell as much as knowing that, and as what its
 /// rehearsal tells of directions.
-constexpr double kFallTrust = 1, kGrowthTrust = 1;
-/// Of the samples' time so far, what rounds take that are needed as a proof did not succeed, 7 to
-/// 110%, and how often that is: less than in three of fifteen bakes, to be right for the others.
-constexpr double kAgain = 0.4, kOften = 0.1;
+constexpr double kFallTrust = 2, kGrowthTrust = 2;
+/// Of the samples so far, what a round is thought to take that is not needed for what was measured.
+constexpr double kAgain = 0.4;
 
 } // namespace
 
@@ -202,13 +202,13 @@ IrradianceVolume AdaptiveBake::assemble()
     return volume;
 }
 
-/// Directions at a point of verification, twice.
-int AdaptiveBake::referenceRays() const
+/// Directions at a point of verification, twice, to find an error of about @a error.
+int AdaptiveBake::referenceRays(double error) const
 {
     // The reference's own noise is that of paths, of which a cached bake's rays know nothing.
     const bool cached = mPlan.samples.probe.cache != nullptr;
     const double noisePerRay = cached ? mReport.bias.pathNoise : mPlan.noisePerRay;
-    const double wanted = std::pow(noisePerRay / (kReferenceShare * mPlan.goal), 2);
+    const double wanted = std::pow(noisePerRay / (kReferenceShare * error), 2);
     const double most = cached || mOptions.target.chooseRays
         ? kMaxReferenceRays
         : std::clamp(2.0 * mPlan.samples.probe.rays, 256.0, kMaxReferenceRays);
@@ -216,24 +216,23 @@ int AdaptiveBake::referenceRays() const
 }
 
 /// A first look at the first round, which is seldom enough, can only say no: it takes nothing of
-/// the confidence. Later rounds end near the target, where few points know too little to go by.
-bool AdaptiveBake::looksWrong(Verification& verification)
+/// the confidence. An error so large is found by few directions, and so at many points.
+bool AdaptiveBake::looksWrong(const IrradianceVolume& volume)
 {
     mProgress.enter(mRefiner->steps() + 1, Outlook::Work::Points);
-    AchievedError& a = mReport.achieved;
-    a = verification.look(kFirstPoints, mOptions.target.confidence, mProgress);
-    if (a.relRmse < kClearlyMissed * mOptions.target.error) return false;
-    a.met = false;
-    a.upper = kVerifiedError * a.relRmse;
-    return true;
+    Verification verification(mTracer, mOptions, mPlan, *mRefiner, mCells, volume,
+        referenceRays(kFirstError * mThreshold), 0);
+    mReport.achieved = verification.look(kFirstPoints, mOptions.target.confidence, mProgress);
+    mReport.achieved.met = false;
+    return mReport.achieved.relRmse >= kClearlyMissed * mOptions.target.error;
 }
 
 void AdaptiveBake::verify(const IrradianceVolume& volume, int round, bool last)
 {
     Seconds time(mReport.secondsVerify);
+    if (!last && round == 0 && looksWrong(volume)) return;
     Verification verification(
-        mTracer, mOptions, mPlan, *mRefiner, mCells, volume, referenceRays(), round);
-    if (!last && round == 0 && looksWrong(verification)) return;
+        mTracer, mOptions, mPlan, *mRefiner, mCells, volume, referenceRays(mPlan.goal), round + 1);
     mProgress.enter(mRefiner->steps() + 2, Outlook::Work::Points);
     for (;; mVerifyPoints *= 2) {
         // Each look may pass by luck. The risks of all add up to what the confidence allows: shares
@@ -314,18 +313,29 @@ double AdaptiveBake::truthOfThought2(double error) const
     return std::max(kNothing2, error * error - fixedError2()) / thoughtError2();
 }
 
+/// Whether the error is what it may be, as far as the round knows.
+bool AdaptiveBake::isThoughtEnough() const
+{
+    return mRound.truth2 * thoughtError2() <= allowedError2();
+}
+
 /// Whether the round goes on: not further than it may, whatever is missing then.
 bool AdaptiveBake::goesOn() const
 {
-    return !mRefiner->isLimited() && mThreshold * kStep >= mRound.least
-        && mRound.truth2 * thoughtError2() > allowedError2();
+    return !mRefiner->isLimited() && mThreshold * kStep >= mRound.least && !isThoughtEnough();
 }
 
 /// How far the threshold falls at most before the second measurement. Without gradients the error
 /// falls so slowly with the samples that going too far costs more than measuring once more.
 double AdaptiveBake::firstFall() const
 {
-    return mPlan.samples.gradients != GradientMethod::None ? 0.05 : 0.1;
+    return mPlan.samples.gradients != GradientMethod::None ? 0.02 : 0.1;
+}
+
+double AdaptiveBake::verifiedError(int round) const
+{
+    const bool gradients = mPlan.samples.gradients != GradientMethod::None;
+    return round == 1 && gradients ? kVerifiedError : kVerifiedErrorLater;
 }
 
 /// Samples that are missing from @a samples on until the error is what it may be. What refinement
@@ -356,15 +366,16 @@ SampleCount AdaptiveBake::ahead(const SampleCount& now, double thought2, double 
 }
 
 /// Refines with ever lower thresholds, until what refinement thinks is wrong has fallen as far as
-/// the measured error has to. Measuring between steps would tell less than it costs: a thousand
-/// points know an error to a tenth, which refinement's own thought follows closely.
+/// the measured error has to.
 void AdaptiveBake::approach(int round)
 {
     Seconds time(mReport.secondsTrace);
-    // A bound far above the error is bad luck with few points rather than work to be done.
-    const AchievedError& a = mReport.achieved;
-    mRound = {round, mThreshold * (round == 1 ? firstFall() : kLaterFall),
-        truthOfThought2(std::min(a.upper, kVerifiedError * a.relRmse))};
+    const double truth2 = truthOfThought2(verifiedError(round) * mReport.achieved.relRmse);
+    mRound.number = round;
+    mRound.least = mThreshold * (round == 1 ? firstFall() : kLaterFall);
+    // A proof that fails where it was to succeed is often one that happened to find too much.
+    const bool unlucky = round > 1 && isThoughtEnough();
+    mRound.truth2 = unlucky ? (mRound.truth2 + truth2) / 2 : truth2;
     foresee(false);
     for (bool more = true; more;) {
         const double missing = missingSamples(count().samples, thoughtError2(), mRound.truth2);
@@ -514,10 +525,9 @@ void AdaptiveBake::plan(const SampleCount& now, const SampleCount& ahead, int pa
         steps.push_back({pass, f.places, Work::Cells, f.cells * grown});
     }
     steps.push_back({pass, f.places + 2, Work::Points, f.proof});
-    if (mOptions.target.error > 0) {
-        // A proof may fail; where none can succeed, it is known how many there will be.
-        const int rounds = kHopelessRounds - 1 - std::max(1, mRound.number);
-        const double again = isHopeless() ? std::max(0, rounds) : kOften;
+    // Where no proof can succeed, it is known how many there will be.
+    const int again = kHopelessRounds - 1 - std::max(1, mRound.number);
+    if (mOptions.target.error > 0 && isHopeless() && again > 0) {
         const double all = pace * (seconds(now) + seconds(ahead));
         steps.push_back({Outlook::kLater, f.places + 3, Work::Points, again * f.proof});
         steps.push_back({Outlook::kLater, f.places + 4, Work::Samples, again * kAgain * all});

@@ -26,8 +26,11 @@ constexpr std::size_t kWorstPlaces = 10;
 constexpr std::size_t kTimedQueries = 20000;
 constexpr const char* kReferenceStage = "trace the reference";
 /// Points that share directions share some of their error: those of a `twice` are spread over pairs
-/// of so many patterns in all.
-constexpr int kPatterns = 32;
+/// of as many patterns as have so many directions in all.
+constexpr int kPatternDirections = 1 << 17, kFewestPatterns = 2, kMostPatterns = 512;
+/// Least and most directions of a point over EvaluateOptions::rays, where points have their own.
+constexpr double kLeastShare = 0.25, kMostShare = 64, kShareStep = 4;
+constexpr double kFewestRays = 16, kMostRays = 1 << 16;
 constexpr double kInf = std::numeric_limits<double>::infinity();
 
 ProbeOptions probeOptions(const EvaluateOptions& o)
@@ -57,20 +60,57 @@ bool isFinite(const Color& c)
 
 } // namespace
 
-Evaluator::Evaluator(
-    const IrradianceVolume& volume, const Tracer& tracer, const EvaluateOptions& options)
+Evaluator::Evaluator(const IrradianceVolume& volume, const Tracer& tracer,
+    const EvaluateOptions& options, const Vec3d& means)
     : mVolume(volume)
     , mOptions(options)
     , mSampler(volume, options.mode)
     , mNormals(uniformNormals(options.normals))
+    , mMeans(means)
 {
-    const auto pairs = static_cast<std::uint64_t>(kPatterns / SamplingPattern::count(options.rays));
-    const std::uint64_t count = options.twice ? 2 * pairs : 1;
-    for (std::uint64_t i = 0; i < count; ++i) {
-        ProbeOptions o = probeOptions(options);
-        if (i > 0) o.seed = hashCombine(o.seed, i);
-        mReferences.push_back(std::make_unique<OwnEstimator>(tracer, o));
+    if (means == Vec3d(0.0)) {
+        mReferences.push_back(references(tracer, options.rays));
+        return;
     }
+    for (double share = kLeastShare; share <= kMostShare; share *= kShareStep) {
+        const double rays = std::clamp(share * options.rays, kFewestRays, kMostRays);
+        mReferences.push_back(references(tracer, static_cast<int>(rays)));
+    }
+}
+
+/// One, or pairs of independent ones.
+Evaluator::References Evaluator::references(const Tracer& tracer, int rays) const
+{
+    const int patterns = std::clamp(kPatternDirections / rays, kFewestPatterns, kMostPatterns);
+    const auto pairs = static_cast<std::uint64_t>(patterns / SamplingPattern::count(rays));
+    const std::uint64_t count = mOptions.twice ? 2 * pairs : 1;
+    References result;
+    for (std::uint64_t i = 0; i < count; ++i) {
+        ProbeOptions o = probeOptions(mOptions);
+        o.rays = rays;
+        if (i > 0) o.seed = hashCombine(o.seed, i);
+        result.push_back(std::make_unique<OwnEstimator>(tracer, o));
+    }
+    return result;
+}
+
+/// Of two independent references the errors' product, whose variance goes as w² V⁴ / rays², V being
+/// what the volume says, is summed: least with rays in proportion to (w V²)^⅔. They depend on the
+/// volume alone, not on what a reference finds, which would bias it.
+const Evaluator::References& Evaluator::referencesFor(const Comparison& c) const
+{
+    if (mReferences.size() == 1) return mReferences.front();
+    double bright2 = 0;
+    for (int i = 0; i < 3; ++i) {
+        double square = 0;
+        for (const Color& v : c.volume) square += static_cast<double>(v[i]) * v[i];
+        const double mean2 = static_cast<double>(c.volume.size()) * mMeans[i] * mMeans[i];
+        if (mean2 > 0) bright2 = std::max(bright2, square / mean2);
+    }
+    const double share = std::pow(c.weight * bright2, 2.0 / 3);
+    const double step = std::log(std::max(share, kLeastShare) / kLeastShare) / std::log(kShareStep);
+    const double last = static_cast<double>(mReferences.size()) - 1;
+    return mReferences[static_cast<std::size_t>(std::min(std::round(step), last))];
 }
 
 void Evaluator::addRandom(Progress& progress)
@@ -139,8 +179,8 @@ std::size_t Evaluator::compare(const std::vector<Vec3d>& points, const std::vect
             stop = true;
             return;
         }
-        fates[i] = compare(points[i], found[i]);
         if (!weights.empty()) found[i].weight = weights[i];
+        fates[i] = compare(points[i], found[i]);
         if (fates[i] == Fate::Compared) progress.advance(1);
     });
     if (stop) throw Error(ErrorCode::Interrupted, "The evaluation was interrupted.");
@@ -168,14 +208,15 @@ Evaluator::Fate Evaluator::compare(const Vec3d& p, Comparison& c)
         std::memcpy(&bits, &p[a], sizeof bits);
         key = hashCombine(key, bits);
     }
-    const std::size_t first = mOptions.twice ? 2 * (key % (mReferences.size() / 2)) : 0;
-    ProbeResult r = mReferences[first]->irradiance(p, mNormals, key);
-    if (r.validity < kValidThreshold) return Fate::InsideGeometry;
     c.position = p;
+    for (const Vec3f& n : mNormals) c.volume.push_back(mSampler.irradiance(p, n));
+    const References& references = referencesFor(c);
+    const std::size_t first = mOptions.twice ? 2 * (key % (references.size() / 2)) : 0;
+    ProbeResult r = references[first]->irradiance(p, mNormals, key);
+    if (r.validity < kValidThreshold) return Fate::InsideGeometry;
     c.reference = std::move(r.value);
     c.error = std::move(r.stderr_);
-    if (mOptions.twice) join(mReferences[first + 1]->irradiance(p, mNormals, ~key), c);
-    for (const Vec3f& n : mNormals) c.volume.push_back(mSampler.irradiance(p, n));
+    if (mOptions.twice) join(references[first + 1]->irradiance(p, mNormals, ~key), c);
     const bool finite = std::all_of(c.volume.begin(), c.volume.end(), isFinite)
         && std::all_of(c.reference.begin(), c.reference.end(), isFinite);
     return finite ? Fate::Compared : Fate::NotFinite;

@@ -17,8 +17,11 @@ namespace lumivdb {
 /// about all so far: whoever wants to be surer adds some.
 class Evaluator {
 public:
-    /// Of @a options, givenPoints and weights are the caller's affair: see add().
-    Evaluator(const IrradianceVolume& volume, const Tracer& tracer, const EvaluateOptions& options);
+    /// Of @a options, givenPoints and weights are the caller's affair: see add(). Where @a means
+    /// has the mean irradiance, by channel, EvaluateOptions::rays are those of a point as bright as
+    /// that and of weight 1, and others have them by what their noise makes of the result's.
+    Evaluator(const IrradianceVolume& volume, const Tracer& tracer, const EvaluateOptions& options,
+        const Vec3d& means = Vec3d(0.0));
 
     /// EvaluateOptions::points random ones in free space. @throws as evaluateVolume().
     void addRandom(Progress& progress);
@@ -43,6 +46,9 @@ private:
     std::size_t compare(const std::vector<Vec3d>& points, const std::vector<double>& weights,
         std::size_t most, Progress& progress);
     Fate compare(const Vec3d& p, Comparison& c);
+    using References = std::vector<std::unique_ptr<OwnEstimator>>;
+    References references(const Tracer& tracer, int rays) const;
+    const References& referencesFor(const Comparison& c) const;
     static void join(const ProbeResult& second, Comparison& c);
     double summariseChannel(int c, double confidence, EvaluateReport& report) const;
     void listWorst(const Vec3d& means, EvaluateReport& report) const;
@@ -52,7 +58,8 @@ private:
     const EvaluateOptions mOptions;
     VolumeSampler mSampler;
     std::vector<Vec3f> mNormals;
-    std::vector<std::unique_ptr<OwnEstimator>> mReferences; // one, or pairs of independent ones
+    const Vec3d mMeans;
+    std::vector<References> mReferences; // each of more rays than the one before
     std::vector<Comparison> mComparisons;
     std::size_t mRejected = 0, mOutside = 0;
 };

@@ -21,14 +21,14 @@ constexpr double kStrata = 0.09;
 /// Time of a direction over that of the pilot's, which have more bands and normals besides (0.61 to
 /// 0.87).
 constexpr double kOfPilot = 0.7;
-/// Of the first round's error, with its confidence, over its threshold: 1.1 to 2.2 in the sample
-/// scenes. Noise hides most of it from a rehearsal.
-constexpr double kFirstError = 1.7;
 constexpr double kPathOverCache = 3.4;
+/// Directions of a proof's points, some of which are bright, over referenceRays(), 1.7 to 3.7; and
+/// their cost where they are few over that.
+constexpr double kForBright = 2.4, kOfFew = 1.6;
 /// Time of directions with analytic gradients over that without: they are 14 to 33% of a bake.
 constexpr double kWithGradients = 1.3;
 /// Seconds to find what a cell sees, before any are known.
-constexpr double kSecondsPerCell = 5e-5;
+constexpr double kSecondsPerCell = 7e-5;
 /// Times the samples of the first round, after which is known how many directions later ones have.
 constexpr double kEnough = 2;
 
@@ -90,13 +90,13 @@ Forecast AdaptiveBake::rehearse()
     refineFirst();
     remember();
     // Points are traced by `path`, which may be much slower than with the cache.
-    const double perPoint = mPlan.secondsPerDirection * 2 * referenceRays()
+    const double perRay = 2 * kForBright * mPlan.secondsPerDirection
         * (mPlan.samples.probe.cache ? kPathOverCache : 1);
-    mForecast.look = perPoint * kFirstPoints;
-    mForecast.proof = perPoint * kVerifyPoints;
+    mForecast.look = kOfFew * perRay * referenceRays(kFirstError * mThreshold) * kFirstPoints;
+    mForecast.proof = perRay * referenceRays(mPlan.goal) * kVerifyPoints;
     const double first = mThreshold, thought2 = thoughtError2();
-    const double truth2
-        = std::max(std::pow(kVerifiedError, 2), std::pow(kFirstError * first, 2) / thought2);
+    const double truth2 = std::pow(verifiedError(1), 2)
+        * std::max(1.0, std::pow(kFirstError * first, 2) / thought2);
     const SampleCount round = mForecast.round;
     while (mStore->size() < kEnough * round.samples && !mRefiner->isLimited()
         && mThreshold > first * firstFall()) {

@@ -6,15 +6,18 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 
 namespace lumivdb {
 
 namespace {
 
+/// Of the points that are not drawn evenly, so many are by brightness.
+constexpr double kBright = 0.25;
 constexpr std::uint64_t kVerifyStream = 0x3b97f1c5d8e2a604ull;
 
 EvaluateOptions evaluateOptions(
-    const BakeOptions& options, const IrradianceVolume& volume, int rays, int round)
+    const BakeOptions& options, const IrradianceVolume& volume, int rays, int number)
 {
     EvaluateOptions evaluate;
     evaluate.mode = VolumeSampler::bestMode(volume);
@@ -23,7 +26,7 @@ EvaluateOptions evaluateOptions(
     evaluate.rays = rays;
     evaluate.twice = true;
     evaluate.seed = hashCombine(
-        mixBits(options.probe.seed ^ kVerifyStream), static_cast<std::uint64_t>(round));
+        mixBits(options.probe.seed ^ kVerifyStream), static_cast<std::uint64_t>(number));
     return evaluate;
 }
 
@@ -31,20 +34,47 @@ EvaluateOptions evaluateOptions(
 
 Verification::Verification(const Tracer& tracer, const BakeOptions& options, const BakePlan& plan,
     const Refiner& refiner, const RefinedCells& cells, const IrradianceVolume& volume, int rays,
-    int round)
+    int number)
     : mOptions(options)
     , mPlan(plan)
     , mRefiner(refiner)
     , mCells(cells)
-    , mEvaluate(evaluateOptions(options, volume, rays, round))
-    , mEvaluator(volume, tracer, mEvaluate)
+    , mEvaluate(evaluateOptions(options, volume, rays, number))
+    , mEvaluator(volume, tracer, mEvaluate, plan.meanE)
 {
-    double total = 0;
-    for (const double c : cells.contribution) mSums.push_back(total += c);
-    if (!(total > 0 && std::isfinite(total))) mSums.clear();
+    const std::vector<double> bright = brightness(volume);
+    const double wrong = std::accumulate(cells.contribution.begin(), cells.contribution.end(), 0.0);
+    const double light = std::accumulate(bright.begin(), bright.end(), 0.0);
+    if (!(wrong > 0 && std::isfinite(wrong) && light > 0 && std::isfinite(light))) return;
+    double sum = 0;
+    for (std::size_t i = 0; i < bright.size(); ++i) {
+        mShares.push_back(
+            (1 - kBright) * cells.contribution[i] / wrong + kBright * bright[i] / light);
+        mSums.push_back(sum += mShares.back());
+    }
 }
 
-/// Half of the points evenly, half where the bake thinks it is wrong; the weight undoes that.
+/// Per cell: its volume times the square of its light, as an error that the bake does not know of
+/// may be larger where there is more.
+std::vector<double> Verification::brightness(const IrradianceVolume& volume) const
+{
+    const VolumeSampler sampler(volume);
+    std::vector<double> result;
+    for (const CellKey& cell : mCells.cells) {
+        const Coord middle = cell.node(1, 1, 1);
+        Color L[kMaxCoefficients];
+        sampler.radiance(Vec3d(middle.x, middle.y, middle.z) * mPlan.samples.spacing, L);
+        double most = 0;
+        for (int c = 0; c < 3; ++c) {
+            const double relative = mPlan.meanE[c] > 0 ? L[0][c] / mPlan.meanE[c] : 0;
+            if (std::isfinite(relative)) most = std::max(most, relative);
+        }
+        result.push_back(mRefiner.share(cell) * most * most);
+    }
+    return result;
+}
+
+/// Half of the points evenly, half by the cells' shares; the weight undoes that.
 std::pair<Vec3d, double> Verification::draw(std::size_t number) const
 {
     const LatticeBox& box = mPlan.box;
@@ -78,7 +108,7 @@ double Verification::density(const Vec3d& p) const
         const auto found = std::lower_bound(mCells.cells.begin(), mCells.cells.end(), cell);
         if (found == mCells.cells.end() || !(*found == cell)) continue;
         const auto index = static_cast<std::size_t>(found - mCells.cells.begin());
-        density = 0.5 + 0.5 * mCells.contribution[index] / mSums.back() / mRefiner.share(cell);
+        density = 0.5 + 0.5 * mShares[index] / mSums.back() / mRefiner.share(cell);
     }
     return density;
 }

@@ -13,11 +13,11 @@ namespace lumivdb {
 /// Looks at one volume, at ever more points: what earlier looks have traced counts in later ones.
 class Verification {
 public:
-    /// Everything is kept by reference. @a rays: directions at a point, twice. @a round makes the
-    /// points of one volume others than those of the next.
+    /// Everything is kept by reference. @a rays: directions at a point, twice. Each @a number has
+    /// points of its own.
     Verification(const Tracer& tracer, const BakeOptions& options, const BakePlan& plan,
         const Refiner& refiner, const RefinedCells& cells, const IrradianceVolume& volume, int rays,
-        int round);
+        int number);
 
     /// Looks at points until @a points of them are traced in all; the bound of the error at all of
     /// them holds with @a confidence. @throws Error(Interrupted).
@@ -26,6 +26,7 @@ public:
 private:
     std::pair<Vec3d, double> draw(std::size_t number) const;
     double density(const Vec3d& lattice) const;
+    std::vector<double> brightness(const IrradianceVolume& volume) const;
 
     const BakeOptions& mOptions;
     const BakePlan& mPlan;
@@ -33,7 +34,8 @@ private:
     const RefinedCells& mCells;
     EvaluateOptions mEvaluate;
     Evaluator mEvaluator;
-    std::vector<double> mSums; // of the cells' contributions; empty: points are drawn evenly
+    /// How often each cell is drawn, and sums of that; empty: points are drawn evenly.
+    std::vector<double> mShares, mSums;
     std::size_t mPoints = 0;
 };
 

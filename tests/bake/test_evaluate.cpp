@@ -4,6 +4,9 @@
 #include "../../bake/src/evaluator.h"
 #include "bake_makers.h"
 
+#include <lumivdb/core/random.h>
+#include <lumivdb/core/sampler.h>
+
 #include <catch2/catch.hpp>
 
 #include <cmath>
@@ -231,6 +234,53 @@ TEST_CASE("points that come in portions count as if they came at once", "[evalua
     CHECK(b.upper < inPortions.report(0.99).upper);
     CHECK(b.bias == a.bias);
     CHECK(first.relRmse != a.relRmse);
+}
+
+TEST_CASE("what a lamp's few bright points add is found by rays that go there", "[evaluate]")
+{
+    Scene scene;
+    const int grey = addMaterial(scene, Color(0.6f), Color(0.0f), false);
+    const int lamp = addMaterial(scene, Color(0.0f), Color(40.0f), true);
+    addInwardBox(scene, grey, Vec3d(0.0), Vec3d(1.6));
+    addQuad(scene, lamp, {0.7, 1.5, 0.7}, {0.2, 0, 0}, {0, 0, 0.2});
+    const auto tracer = makeTracer(scene);
+    const IrradianceVolume volume
+        = bakeVolume(*tracer, bakeOptions(0.1, Vec3d(0.0), Vec3d(1.6), 1024)).volume;
+    Vec3d mean(0.0);
+    std::vector<Vec3d> points;
+    const VolumeSampler sampler(volume);
+    for (int i = 0; i < 400; ++i) {
+        CounterRng rng(mixBits(static_cast<std::uint64_t>(i)));
+        Vec3d p;
+        for (int a = 0; a < 3; ++a) p[a] = 0.01 + 1.58 * rng.nextDouble();
+        points.push_back(p);
+        mean += Vec3d(sampler.irradiance(p, Vec3f(0, 1, 0))) / 400;
+    }
+    const std::vector<double> weights(points.size(), 1.0);
+    constexpr int kSeeds = 24;
+    double sum[2] = {}, square[2] = {};
+    for (int spread = 0; spread < 2; ++spread) {
+        for (int seed = 0; seed < kSeeds; ++seed) {
+            EvaluateOptions o = options(1, 32);
+            o.twice = true;
+            o.seed = static_cast<std::uint64_t>(seed);
+            Progress silent;
+            Evaluator evaluator(volume, *tracer, o, spread ? mean : Vec3d(0.0));
+            evaluator.add(points, weights, silent);
+            const EvaluateReport r = evaluator.report(0.95);
+            // Squared, and with its sign: what is found has no bias then.
+            const double found = r.relRmse * r.relRmse - r.referenceStderr * r.referenceStderr;
+            sum[spread] += found / kSeeds;
+            square[spread] += found * found / kSeeds;
+        }
+    }
+    const double plain = std::sqrt(square[0] - sum[0] * sum[0]);
+    const double own = std::sqrt(square[1] - sum[1] * sum[1]);
+    CAPTURE(sum[0], sum[1], plain, own);
+    // The same error, within three standard errors of the less certain one.
+    CHECK(std::abs(sum[0] - sum[1]) < 3 * plain / std::sqrt(kSeeds - 1.0));
+    // Standard deviations of 24 have an error of 0.15: a half by luck is beyond three of them.
+    CHECK(own < 0.5 * plain);
 }
 
 TEST_CASE("a volume that holds a NaN or an infinity is refused, not praised", "[evaluate][hard]")
