@@ -36,7 +36,7 @@ constexpr double kFirstThreshold = 2;
 /// Interpolation's least share of the target's square, whatever else there is.
 constexpr double kLeastAllowed = 0.05;
 constexpr double kNothing2 = 1e-12;
-/// What refinement thinks is wrong goes as this power of 1 / samples: 0.76 to 0.92 in the sample
+/// What refinement thinks is wrong goes as this power of 1 / samples: 0.71 to 0.91 in the sample
 /// scenes with gradients, 0.35 to 0.55 without. Never less than the least.
 constexpr double kFallWith = 0.8, kFallWithout = 0.4, kLeastFall = 0.3;
 /// So far, in ln(samples), a bake has to go to tell as much as knowing that, and as what its
