@@ -220,8 +220,8 @@ int AdaptiveBake::referenceRays(double error) const
 bool AdaptiveBake::looksWrong(const IrradianceVolume& volume)
 {
     mProgress.enter(mRefiner->steps() + 1, Outlook::Work::Points);
-    Verification verification(mTracer, mOptions, mPlan, *mRefiner, mCells, volume,
-        referenceRays(kFirstError * mThreshold), 0);
+    Verification verification(
+        mTracer, mOptions, mPlan, mCells, volume, referenceRays(kFirstError * mThreshold), 0);
     mReport.achieved = verification.look(kFirstPoints, mOptions.target.confidence, mProgress);
     mReport.achieved.met = false;
     return mReport.achieved.relRmse >= kClearlyMissed * mOptions.target.error;
@@ -232,7 +232,7 @@ void AdaptiveBake::verify(const IrradianceVolume& volume, int round, bool last)
     Seconds time(mReport.secondsVerify);
     if (!last && round == 0 && looksWrong(volume)) return;
     Verification verification(
-        mTracer, mOptions, mPlan, *mRefiner, mCells, volume, referenceRays(mPlan.goal), round + 1);
+        mTracer, mOptions, mPlan, mCells, volume, referenceRays(mPlan.goal), round + 1);
     mProgress.enter(mRefiner->steps() + 2, Outlook::Work::Points);
     for (;; mVerifyPoints *= 2) {
         // Each look may pass by luck. The risks of all add up to what the confidence allows: shares

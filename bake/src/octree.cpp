@@ -27,6 +27,17 @@ bool operator<(const CellKey& a, const CellKey& b)
         < std::tie(b.origin.x, b.origin.y, b.origin.z, b.level);
 }
 
+double share(const CellKey& cell, const LatticeBox& box)
+{
+    double inside = 1;
+    for (int a = 0; a < 3; ++a) {
+        const int low = std::max(cell.origin[a], box.lower[a]);
+        const int high = std::min(cell.origin[a] + cell.size(), box.upper[a]);
+        inside *= static_cast<double>(high - low) / (box.upper[a] - box.lower[a]);
+    }
+    return inside;
+}
+
 std::size_t CellKeyHash::operator()(const CellKey& key) const
 {
     return static_cast<std::size_t>(

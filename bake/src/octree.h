@@ -31,6 +31,9 @@ struct CellKey {
 /// Order of (x, y, z) of the origin, then of level: that of a volume's cells.
 bool operator<(const CellKey& a, const CellKey& b);
 
+/// Part of @a box that lies in @a cell.
+double share(const CellKey& cell, const LatticeBox& box);
+
 struct CellKeyHash {
     std::size_t operator()(const CellKey& key) const;
 };

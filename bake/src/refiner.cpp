@@ -135,17 +135,7 @@ bool Refiner::touchesGeometry(const CellKey& cell) const
     return known != mCut.end() ? known->second : mGeometry.touches(worldBox(cell));
 }
 
-double Refiner::share(const CellKey& cell) const
-{
-    double inside = 1;
-    for (int a = 0; a < 3; ++a) {
-        const LatticeBox& box = mTree.box();
-        const int low = std::max(cell.origin[a], box.lower[a]);
-        const int high = std::min(cell.origin[a] + cell.size(), box.upper[a]);
-        inside *= static_cast<double>(high - low) / (box.upper[a] - box.lower[a]);
-    }
-    return inside;
-}
+double Refiner::share(const CellKey& cell) const { return lumivdb::share(cell, mTree.box()); }
 
 double Refiner::weighted(const CellKey& cell, double error2) const
 {

@@ -30,15 +30,21 @@ EvaluateOptions evaluateOptions(
     return evaluate;
 }
 
+LatticeBox boxOf(const IrradianceVolume& volume, double spacing)
+{
+    const auto step = static_cast<int>(std::lround(volume.spacing() / spacing));
+    const LatticeBox box = volume.latticeBounds();
+    return {box.lower * step, box.upper * step};
+}
+
 } // namespace
 
 Verification::Verification(const Tracer& tracer, const BakeOptions& options, const BakePlan& plan,
-    const Refiner& refiner, const RefinedCells& cells, const IrradianceVolume& volume, int rays,
-    int number)
+    const RefinedCells& cells, const IrradianceVolume& volume, int rays, int number)
     : mOptions(options)
     , mPlan(plan)
-    , mRefiner(refiner)
     , mCells(cells)
+    , mBox(boxOf(volume, plan.samples.spacing))
     , mEvaluate(evaluateOptions(options, volume, rays, number))
     , mEvaluator(volume, tracer, mEvaluate, plan.meanE)
 {
@@ -69,7 +75,7 @@ std::vector<double> Verification::brightness(const IrradianceVolume& volume) con
             const double relative = mPlan.meanE[c] > 0 ? L[0][c] / mPlan.meanE[c] : 0;
             if (std::isfinite(relative)) most = std::max(most, relative);
         }
-        result.push_back(mRefiner.share(cell) * most * most);
+        result.push_back(share(cell, mBox) * most * most);
     }
     return result;
 }
@@ -77,10 +83,9 @@ std::vector<double> Verification::brightness(const IrradianceVolume& volume) con
 /// Half of the points evenly, half by the cells' shares; the weight undoes that.
 std::pair<Vec3d, double> Verification::draw(std::size_t number) const
 {
-    const LatticeBox& box = mPlan.box;
     CounterRng rng(hashCombine(mEvaluate.seed, number));
-    Vec3d lower(box.lower.x, box.lower.y, box.lower.z),
-        upper(box.upper.x, box.upper.y, box.upper.z);
+    Vec3d lower(mBox.lower.x, mBox.lower.y, mBox.lower.z),
+        upper(mBox.upper.x, mBox.upper.y, mBox.upper.z);
     if (!mSums.empty() && number % 2 == 1) {
         const auto it
             = std::upper_bound(mSums.begin(), mSums.end(), rng.nextDouble() * mSums.back());
@@ -88,8 +93,8 @@ std::pair<Vec3d, double> Verification::draw(std::size_t number) const
             = std::min(static_cast<std::size_t>(it - mSums.begin()), mSums.size() - 1);
         const CellKey& cell = mCells.cells[chosen];
         for (int a = 0; a < 3; ++a) {
-            lower[a] = std::max(cell.origin[a], box.lower[a]);
-            upper[a] = std::min(cell.origin[a] + cell.size(), box.upper[a]);
+            lower[a] = std::max(cell.origin[a], mBox.lower[a]);
+            upper[a] = std::min(cell.origin[a] + cell.size(), mBox.upper[a]);
         }
     }
     Vec3d p;
@@ -108,7 +113,7 @@ double Verification::density(const Vec3d& p) const
         const auto found = std::lower_bound(mCells.cells.begin(), mCells.cells.end(), cell);
         if (found == mCells.cells.end() || !(*found == cell)) continue;
         const auto index = static_cast<std::size_t>(found - mCells.cells.begin());
-        density = 0.5 + 0.5 * mShares[index] / mSums.back() / mRefiner.share(cell);
+        density = 0.5 + 0.5 * mShares[index] / mSums.back() / share(cell, mBox);
     }
     return density;
 }

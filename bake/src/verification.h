@@ -16,8 +16,7 @@ public:
     /// Everything is kept by reference. @a rays: directions at a point, twice. Each @a number has
     /// points of its own.
     Verification(const Tracer& tracer, const BakeOptions& options, const BakePlan& plan,
-        const Refiner& refiner, const RefinedCells& cells, const IrradianceVolume& volume, int rays,
-        int number);
+        const RefinedCells& cells, const IrradianceVolume& volume, int rays, int number);
 
     /// Looks at points until @a points of them are traced in all; the bound of the error at all of
     /// them holds with @a confidence. @throws Error(Interrupted).
@@ -30,8 +29,10 @@ private:
 
     const BakeOptions& mOptions;
     const BakePlan& mPlan;
-    const Refiner& mRefiner;
     const RefinedCells& mCells;
+    /// What the volume says it fills, in the plan's lattice: what was asked for or, where that ends
+    /// inside the volume's finest cells, up to a cell more.
+    LatticeBox mBox;
     EvaluateOptions mEvaluate;
     Evaluator mEvaluator;
     /// How often each cell is drawn, and sums of that; empty: points are drawn evenly.
