@@ -3,6 +3,7 @@
 
 #include "directions.h"
 #include "mean_bound.h"
+#include "visibility_cell.h"
 
 #include <lumivdb/core/error.h>
 #include <lumivdb/core/random.h>
@@ -63,6 +64,7 @@ bool isFinite(const Color& c)
 Evaluator::Evaluator(const IrradianceVolume& volume, const Tracer& tracer,
     const EvaluateOptions& options, const Vec3d& means)
     : mVolume(volume)
+    , mTracer(tracer)
     , mOptions(options)
     , mSampler(volume, options.mode)
     , mNormals(uniformNormals(options.normals))
@@ -195,11 +197,26 @@ std::size_t Evaluator::compare(const std::vector<Vec3d>& points, const std::vect
     return outside;
 }
 
+/// Behind a single-sided surface, but so little that a cell of @a level counts it to the front; its
+/// validity is ½, give or take noise.
+bool Evaluator::isOnBack(const Vec3d& p, int level) const
+{
+    const double behind = kBehind * mVolume.spacing() * (1 << level);
+    Vec3d front;
+    if (!mTracer.closestSurface(p, behind, nullptr, &front)) return false;
+    const SurfaceHit hit = mTracer.intersect(p, front);
+    if (!hit.hit || !hit.backFace || hit.distance > behind) return false;
+    const Scene& scene = mTracer.scene();
+    const int material = scene.meshes[static_cast<std::size_t>(hit.mesh)].material;
+    return !scene.materials[static_cast<std::size_t>(material)].doubleSided;
+}
+
 Evaluator::Fate Evaluator::compare(const Vec3d& p, Comparison& c)
 {
     QueryInfo info;
     mSampler.irradiance(p, mNormals[0], &info);
     if (info.level < 0) return Fate::OutsideVolume;
+    if (isOnBack(p, info.level)) return Fate::InsideGeometry;
     // The key depends on the place alone: the same point has the same reference in any list.
     std::uint64_t key = mixBits(mOptions.seed);
     for (int a = 0; a < 3; ++a) {

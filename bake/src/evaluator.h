@@ -46,6 +46,7 @@ private:
     std::size_t compare(const std::vector<Vec3d>& points, const std::vector<double>& weights,
         std::size_t most, Progress& progress);
     Fate compare(const Vec3d& p, Comparison& c);
+    bool isOnBack(const Vec3d& p, int level) const;
     using References = std::vector<std::unique_ptr<OwnEstimator>>;
     References references(const Tracer& tracer, int rays) const;
     const References& referencesFor(const Comparison& c) const;
@@ -55,6 +56,7 @@ private:
     double timeQueries() const;
 
     const IrradianceVolume& mVolume;
+    const Tracer& mTracer;
     const EvaluateOptions mOptions;
     VolumeSampler mSampler;
     std::vector<Vec3f> mNormals;

@@ -56,6 +56,9 @@ struct CellPlane {
 std::vector<CellSurface> clipToCell(
     const Tracer::Impl& impl, const CellFrame& frame, const std::vector<std::uint32_t>& triangles);
 
+/// How far behind single-sided surfaces their plane lies, in cell widths.
+constexpr double kBehind = 0x1p-12;
+
 /// Planes of @a surfaces, coplanar ones as one, largest first, with their common mean at the end
 /// where they differ. A plane of single-sided surfaces lies a little behind their fronts, so that
 /// what is on the surface, up to rounding, is before it.

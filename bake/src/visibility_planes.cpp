@@ -15,8 +15,6 @@ constexpr double kMinArea = 1e-7;
 /// More triangles in one cell than this are thinned out evenly.
 constexpr std::size_t kMaxTriangles = 4096;
 constexpr std::size_t kMaxPlanes = 12;
-/// How far behind single-sided surfaces their plane lies, in cell widths.
-constexpr double kBehind = 0x1p-12;
 /// Surfaces are coplanar up to this distance (cell widths) and cosine.
 constexpr double kCoplanar = 1e-3, kParallel = 0.9998;
 

@@ -206,6 +206,32 @@ TEST_CASE("points inside geometry are rejected and replaced", "[evaluate]")
         != "");
 }
 
+TEST_CASE("points just behind a single-sided surface lie on it and do not count", "[evaluate]")
+{
+    // Cells of 0.5 count 2^-12 of that to the front; a double-sided surface has light behind it.
+    constexpr double kStep = 0.5 * 0x1p-12;
+    const auto counted = [](bool doubleSided, double y) {
+        Scene scene = constantSky();
+        const int material = addMaterial(scene, Color(0.5f), Color(0.0f), doubleSided);
+        addQuad(scene, material, {-50, 0, -50}, {0, 0, 100}, {100, 0, 0}); // its front is upward
+        const auto tracer = makeTracer(std::move(scene));
+        const IrradianceVolume v = constantVolume(1);
+        Evaluator evaluator(v, *tracer, options(1, 64));
+        Progress quiet;
+        std::vector<Vec3d> points;
+        for (int i = 0; i < 32; ++i) points.emplace_back(0.01 * i, y, 0.3);
+        points.emplace_back(0.1, 0.4, 0.3); // free: there must be one
+        evaluator.add(points, {}, quiet);
+        const EvaluateReport r = evaluator.report(0.95);
+        CHECK(r.points + r.rejected == points.size());
+        return r.points - 1;
+    };
+    CHECK(counted(false, kStep / 2) == 32);
+    CHECK(counted(false, -kStep / 2) == 0);
+    CHECK(counted(true, kStep / 2) == 32);
+    CHECK(counted(true, -kStep / 2) == 32);
+}
+
 TEST_CASE("points that come in portions count as if they came at once", "[evaluate]")
 {
     const auto tracer = makeTracer(smoothScene());
