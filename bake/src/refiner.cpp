@@ -115,6 +115,9 @@ Refiner::Refiner(const Tracer& tracer, SampleStore& store, const RefineOptions& 
     , mMeanE(meanE)
     , mTree(box, levels)
     , mGeometry(tracer)
+    , mCutters([&tracer] {
+        return Cutter{CellCutter(tracer.impl()), {}};
+    })
 {
 }
 
@@ -131,8 +134,8 @@ Box3d Refiner::worldBox(const CellKey& cell) const
 
 bool Refiner::touchesGeometry(const CellKey& cell) const
 {
-    const auto known = mCut.find(cell);
-    return known != mCut.end() ? known->second : mGeometry.touches(worldBox(cell));
+    const auto known = mTouched.find(cell);
+    return known != mTouched.end() ? known->second : mGeometry.touches(worldBox(cell));
 }
 
 double Refiner::share(const CellKey& cell) const { return lumivdb::share(cell, mTree.box()); }
@@ -162,16 +165,62 @@ void hermite(double t, bool upper, double& value, double& slope)
 
 } // namespace
 
-/// What the sample at @a point has over what the corners interpolate there: tricubic Hermite where
-/// there are gradients and all corners count (at a cell's nodes, Interpolation::Gradient gives the
-/// same), else Interpolation::Gradient from those that do; trilinear without.
-Refiner::Difference Refiner::differenceAt(const CellKey& cell, const Coord& point) const
+/// In cell coordinates.
+Vec3d Refiner::placeIn(const CellKey& cell, const Vec3d& world) const
+{
+    const double h = mStore.settings().spacing;
+    const Vec3d corner = Vec3d(cell.origin.x, cell.origin.y, cell.origin.z) * h;
+    return (world - corner) / (cell.size() * h);
+}
+
+/// What the places in a cell that geometry touches, its corners in the store, will see of them once
+/// it is in the volume; none: all.
+std::optional<CellVisibility> Refiner::cutOf(const CellKey& cell) const
+{
+    const double h = mStore.settings().spacing;
+    const Vec3d& local = mTracer.impl().origin;
+    CellFrame frame;
+    frame.base = Vec3d(cell.origin.x, cell.origin.y, cell.origin.z) * h - local;
+    frame.size = cell.size() * h;
+    for (int a = 0; a < 3; ++a) frame.axis[a] = Vec3d(a == 0, a == 1, a == 2) * frame.size;
+    frame.valid = 0;
+    for (int i = 0; i < 8; ++i) {
+        const std::size_t corner = mStore.find(cell.corner(i));
+        frame.corner[i] = Vec3f(mStore.measured(corner) - local);
+        if (mStore.isValid(corner)) frame.valid = static_cast<std::uint8_t>(frame.valid | 1 << i);
+    }
+    Cutter& c = mCutters.local();
+    mGeometry.collect(worldBox(cell), c.triangles);
+    std::optional<CellVisibility> cut = c.cutter.cut(frame, c.triangles);
+    // What sees no valid corner has them all for an answer.
+    for (int k = 0; cut && k < 8; ++k) {
+        if (!(cut->masks >> (8 * k) & frame.valid)) cut->masks |= std::uint64_t{0xff} << (8 * k);
+    }
+    return cut;
+}
+
+/// What the sample at @a point has over what the corners that are seen there, by @a cut,
+/// interpolate: tricubic Hermite where there are gradients and all corners count (at a cell's
+/// nodes, Interpolation::Gradient gives the same), else Interpolation::Gradient from those that do;
+/// trilinear without.
+Refiner::Difference Refiner::differenceAt(
+    const CellKey& cell, const CellVisibility* cut, const Coord& point) const
 {
     const int bands = mStore.settings().bands, n = coefficientCount(bands);
-    const bool cut = touchesGeometry(cell);
     const std::size_t sample = mStore.find(point);
     const Vec3d at = mStore.measured(sample);
     const double width = cell.size() * mStore.settings().spacing;
+    unsigned seen = 0xff;
+    if (cut) {
+        // What was moved off a surface may lie beyond the cell, but not behind a surface in its
+        // face.
+        const Vec3d moved = placeIn(cell, at);
+        Vec3d t = moved;
+        for (int a = 0; a < 3; ++a) t[a] = std::clamp(t[a], 0.0, 1.0);
+        const Vec3d into = (t - moved) * (2 * width);
+        if (into != Vec3d(0.0) && mTracer.occluded(at, at + into)) return {};
+        seen = cut->corners(Vec3f(t));
+    }
     CornerWeight corners[8];
     double linear[8];
     int count = 0, used = 0;
@@ -188,8 +237,7 @@ Refiner::Difference Refiner::differenceAt(const CellKey& cell, const Coord& poin
         if (w == 0) continue;
         ++used;
         const std::size_t corner = mStore.find(cell.corner(i));
-        if (!mStore.isValid(corner)) continue;
-        if (cut && mTracer.occluded(at, mStore.measured(corner))) continue;
+        if (!mStore.isValid(corner) || !(seen >> i & 1)) continue;
         const Vec3d slopes(slope[0] * value[1] * value[2], value[0] * slope[1] * value[2],
             value[0] * value[1] * slope[2]);
         linear[count] = w;
@@ -236,10 +284,12 @@ Refiner::Difference Refiner::differenceAt(const CellKey& cell, const Coord& poin
 Refiner::Measure Refiner::measureAt(const CellKey& cell, const std::vector<Coord>& points) const
 {
     Vec3d error(0.0), plain(0.0);
+    const auto known = mCuts.find(cell);
+    const CellVisibility* cut = known != mCuts.end() ? &known->second : nullptr;
     for (const Coord& p : points) {
         // What lies inside geometry does not count.
         if (!mStore.isValid(mStore.find(p))) continue;
-        const Difference d = differenceAt(cell, p);
+        const Difference d = differenceAt(cell, cut, p);
         error += d.error2;
         plain += d.plain2;
     }
@@ -288,12 +338,12 @@ void Refiner::measure(const std::vector<CellKey>& cells, Outlook& outlook)
 {
     std::vector<CellKey> fresh;
     for (const CellKey& cell : cells) {
-        if (mCut.count(cell) == 0) fresh.push_back(cell);
+        if (mTouched.count(cell) == 0) fresh.push_back(cell);
     }
-    std::vector<char> cut(fresh.size());
+    std::vector<char> touched(fresh.size());
     tbb::parallel_for(std::size_t{0}, fresh.size(),
-        [&](std::size_t i) { cut[i] = mGeometry.touches(worldBox(fresh[i])); });
-    for (std::size_t i = 0; i < fresh.size(); ++i) mCut.emplace(fresh[i], cut[i] != 0);
+        [&](std::size_t i) { touched[i] = mGeometry.touches(worldBox(fresh[i])); });
+    for (std::size_t i = 0; i < fresh.size(); ++i) mTouched.emplace(fresh[i], touched[i] != 0);
 
     const bool tests = mOptions.uses(RefineHeuristic::Error);
     std::vector<Coord> points;
@@ -304,6 +354,13 @@ void Refiner::measure(const std::vector<CellKey>& cells, Outlook& outlook)
     }
     mStore.require(std::move(points), outlook);
     if (!tests) return;
+    std::vector<std::optional<CellVisibility>> cuts(fresh.size());
+    tbb::parallel_for(std::size_t{0}, fresh.size(), [&](std::size_t i) {
+        if (fresh[i].level > 0 && touched[i]) cuts[i] = cutOf(fresh[i]);
+    });
+    for (std::size_t i = 0; i < fresh.size(); ++i) {
+        if (cuts[i]) mCuts.emplace(fresh[i], *cuts[i]);
+    }
     std::vector<Measure> measures(fresh.size());
     tbb::parallel_for(std::size_t{0}, fresh.size(), [&](std::size_t i) {
         if (fresh[i].level > 0) measures[i] = measureAt(fresh[i], testPoints(fresh[i]));

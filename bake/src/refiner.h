@@ -7,9 +7,12 @@
 #include "octree.h"
 #include "outlook.h"
 #include "sample_store.h"
+#include "visibility_cell.h"
 
 #include <lumivdb/bake/geometry_cells.h>
 #include <lumivdb/bake/refine.h>
+
+#include <tbb/enumerable_thread_specific.h>
 
 #include <unordered_map>
 
@@ -67,7 +70,10 @@ private:
     struct Difference {
         Vec3d error2{0, 0, 0}, plain2{0, 0, 0}; ///< relative to mean(E)², noise taken off
     };
-    Difference differenceAt(const CellKey& cell, const Coord& point) const;
+    Difference differenceAt(
+        const CellKey& cell, const CellVisibility* cut, const Coord& point) const;
+    std::optional<CellVisibility> cutOf(const CellKey& cell) const;
+    Vec3d placeIn(const CellKey& cell, const Vec3d& world) const;
     double change(const CellKey& cell) const;
     double harmonicDistance(const CellKey& cell) const;
     bool touchesGeometry(const CellKey& cell) const;
@@ -86,7 +92,14 @@ private:
     std::size_t mMaxSamples = ~std::size_t{0};
     bool mLimited = false;
     std::unordered_map<CellKey, Measure, CellKeyHash> mMeasured;
-    std::unordered_map<CellKey, bool, CellKeyHash> mCut;
+    std::unordered_map<CellKey, bool, CellKeyHash> mTouched;
+    /// Of measured cells; those that are not here see all their corners.
+    std::unordered_map<CellKey, CellVisibility, CellKeyHash> mCuts;
+    struct Cutter {
+        CellCutter cutter;
+        std::vector<std::uint32_t> triangles;
+    };
+    mutable tbb::enumerable_thread_specific<Cutter> mCutters;
 };
 
 } // namespace lumivdb
