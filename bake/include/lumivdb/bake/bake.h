@@ -169,7 +169,9 @@ struct EvaluateReport {
     double bias = 0; ///< mean(E−E_ref)/mean(E_ref), channel of largest magnitude
     double referenceStderr = 0; ///< sqrt(mean stderr²)/mean(E_ref), worst channel
     std::size_t points = 0;
-    std::size_t rejected = 0; ///< random points inside geometry, not counted
+    /// Points inside geometry, or so little behind a single-sided surface that the volume counts
+    /// them to its front (2⁻¹² of their cell's width); not counted.
+    std::size_t rejected = 0;
     std::size_t outside = 0; ///< given points outside the volume, not counted
     int normals = 0;
     double queryNs = 0; ///< nanoseconds per irradiance query, one thread
